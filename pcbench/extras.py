@@ -87,11 +87,11 @@ def installed_versions(names: Iterable[str]) -> dict[str, str]:
     """Return the versions of these distributions, without those that are not installed."""
     from importlib.metadata import PackageNotFoundError, version
 
-    found = {}
+    versions = {}
     for name in names:
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            versions[name] = version(name)
+    return versions
 
 
 def package_version() -> str:
@@ -122,6 +122,6 @@ def missing_extra(module: str, error: Exception, extra: str | None = None) -> Mi
     text = " ".join(str(error).split())[:300]
     kind = "" if isinstance(error, (ImportError, OSError)) and text else f"{type(error).__name__}: "
     reason = f"it is installed but cannot be loaded: {kind}{text}"
-    if found := _LOADER_ERROR.search(text):
-        return MissingExtra(name, extra, reason, f"on Debian, apt-get install {debian_package(found[1])}")
+    if library := _LOADER_ERROR.search(text):
+        return MissingExtra(name, extra, reason, f"on Debian, apt-get install {debian_package(library[1])}")
     return MissingExtra(name, extra, reason, f"reinstall it ({install})")

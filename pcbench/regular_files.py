@@ -1,4 +1,4 @@
-"""Open files that a user names: regular files only, and text files of limited size.
+"""Open files that a user names: regular files only, and text and JSON files of limited size.
 
 Opening a named pipe blocks until it has a writer, and a device such as /dev/zero never ends. Both are refused.
 """
@@ -6,13 +6,16 @@ Opening a named pipe blocks until it has a writer, and a device such as /dev/zer
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import stat
 from io import BufferedReader
 from pathlib import Path
+from typing import Any
 
 from pcbench.errors import InputError
 
+_MAX_JSON_BYTES = 1 << 30  # for results and cameras
 MAX_TEXT_BYTES = 64 << 20  # about a million lines of matrices, point pairs, positions or settings
 
 # Opening a pipe with O_NONBLOCK returns at once. Windows has neither the flag nor named pipes in folders.
@@ -60,6 +63,34 @@ def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> 
         return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError("expected a UTF-8 text file") from None
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file.
+
+    Raises:
+        InputError: the file is not a regular file, not JSON, or nested too deeply. The message does not name the path.
+        OSError: the file cannot be read.
+    """
+    try:
+        return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError("expected JSON, got a binary file: choose the .json file") from None
+    except InputError:  # also a ValueError, but its message is complete
+        raise
+    except RecursionError:
+        raise InputError("expected JSON, got JSON that is nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"expected JSON: {error}") from None
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """Parse a JSON file that contains an object; return {} if it contains something else or cannot be read."""
+    try:
+        values = read_json(path)
+    except (OSError, InputError):
+        return {}
+    return values if isinstance(values, dict) else {}
 
 
 def regular_status(path: str | os.PathLike[str]) -> os.stat_result:

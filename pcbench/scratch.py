@@ -1,4 +1,4 @@
-"""Temporary files and output locks.
+"""Temporary files, atomic writing and output locks.
 
 Each temporary file, temporary folder and lock file is locked by its owner (flock). The system releases a lock when its
 process ends, even if it is killed. The next run can therefore distinguish files in use from leftovers, and removes the
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from pcbench.errors import InputError
-from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_owned_by_user, lock, open_folder
+from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_owned_by_user, lock, open_folder, rename_open
 
 PARTIAL_SUFFIX = ".partial"
 """Suffix of the temporary files of `workspace_file`."""
@@ -86,11 +86,26 @@ def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
 
 
 @contextmanager
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary binary file that is renamed to `path` once complete. On any error `path` stays unchanged.
+
+    Raises:
+        OSError: the file cannot be written; the temporary file is removed.
+    """
+    target = path.resolve()  # follow a symbolic link, as open() does
+    if target.exists() and not target.is_file():
+        raise OSError(f"cannot write to {path}: it is a folder or a device")
+    with scratch_file(path) as (temporary, file):
+        yield file
+        rename_open(file, temporary, target)
+
+
+@contextmanager
 def workspace_file(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that is renamed to `path` once complete, in a folder that only pcbench writes.
 
     Such a folder may have many files. So there is no lock and no search for leftovers, as in
-    `pcbench.io.files.atomic_write`: a killed process leaves a file with `PARTIAL_SUFFIX`. Two processes may write the
+    `atomic_write`: a killed process leaves a file with `PARTIAL_SUFFIX`. Two processes may write the
     same path at once, because a cluster repeats tasks of workers that it believes lost: the later one stays.
 
     Raises:

@@ -191,8 +191,8 @@ def _peak_working_set() -> int:
     kernel.GetCurrentProcess.restype = ctypes.c_void_p
     kernel.K32GetProcessMemoryInfo.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32]
     memory = ProcessMemory(bytes=ctypes.sizeof(ProcessMemory))
-    known = kernel.K32GetProcessMemoryInfo(kernel.GetCurrentProcess(), ctypes.byref(memory), memory.bytes)
-    return int(memory.peak_working_set) if known else 0
+    has_answer = kernel.K32GetProcessMemoryInfo(kernel.GetCurrentProcess(), ctypes.byref(memory), memory.bytes)
+    return int(memory.peak_working_set) if has_answer else 0
 
 
 def signal_name(number: int) -> str:

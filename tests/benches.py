@@ -1,5 +1,6 @@
 """A small scene for benches, reconstructors that work or fail in different ways, and helpers."""
 
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 from pcbench.plugins import Reconstruction
+from pcbench.studies.bench.pareto import with_front
+from pcbench.studies.bench.results import KIND, Bench, BenchInput, BenchReference, BenchRow, RunRecord, Score
 from pcbench.studies.bench.runs import BenchJob, bench
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
@@ -28,6 +31,7 @@ OWN = Similarity(shapes.rotation([1, 2, 3], 70), np.array([100.0, -50.0, 7.0]), 
 METHODS = """
 import os, time
 from dataclasses import dataclass
+from dataclasses import fields, replace
 from pathlib import Path
 import numpy as np
 from pcbench import Cloud, read_cloud
@@ -102,7 +106,7 @@ def job(*methods, **options):
 
 def run_bench(bench_job, out=Path("out"), **options):
     """Run a bench without charts, and return its document."""
-    return bench(bench_job, out, figures=False, **options).document
+    return KIND.values(bench(bench_job, out, figures=False, **options).study)
 
 
 def executed_methods():
@@ -111,18 +115,18 @@ def executed_methods():
     return path.read_text().split() if path.exists() else []
 
 
-def row(method, wall_s, fscore, status="ok", seed=0, **extra_entries):
-    """Row of bench.json with the entries that tables and fronts use."""
-    scores = {"fscore": fscore, "chamfer": 1 - (fscore or 0)} if status == "ok" else {}
-    return {
-        "method": method,
-        "choices": {},
-        "seed": seed,
-        "status": status,
-        "wall_s": wall_s,
-        **scores,
-        **extra_entries,
-    }
+def row(method, wall_s, fscore, status="ok", seed=0, **entries):
+    """Row of a bench with the entries that tables and fronts use; others are None."""
+    values = {"chamfer": 1 - (fscore or 0), "thresholds": (), "notes": (), "message": "", "registration": "none"}
+    values |= {"beside_others": False, "status": status, "wall_s": wall_s, "fscore": fscore, **entries}
+    record, score = (kind(**{item.name: values.get(item.name) for item in fields(kind)}) for kind in (RunRecord, Score))
+    return BenchRow(method, entries.get("choices", {}), seed, record, "", score if status == "ok" else None)
+
+
+def study(rows, name="r", scene="s", **changes):
+    """Bench of rows."""
+    reference = BenchReference(name, "b" * 64, 100, "m", None, None, "", None, None, None)
+    return replace(Bench(BenchInput(scene, "a" * 64), reference, (), {}, {}, (), with_front(rows)), **changes)
 
 
 def reconstruction_in(points, gauge, frame=None, cameras=RIG):

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from wording import check_error
 
-from pcbench.io.files import atomic_write
 from pcbench.scratch import (
+    atomic_write,
     attribute_errors_to,
     lock_output,
     remove_leftovers,

@@ -109,7 +109,7 @@ def _noise(reference: Surface, candidate: Surface) -> float:
     """Return the standard deviation of the candidate's distances from the reference's planes on the stable part."""
     points = candidate.index.every(max(1, len(candidate) // _MAX_NOISE_SAMPLE))
     rows = reference.index.query(points).indices
-    return shortest_width(np.einsum("ni,ni->n", points - reference.points[rows], reference.normals(rows)))
+    return shortest_width(reference.plane_offsets(points, rows))
 
 
 def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) -> list[Offsets]:

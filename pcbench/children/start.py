@@ -95,10 +95,10 @@ def _end_descendants() -> None:
 
 
 def _children() -> list[int]:
-    found: list[int] = []
+    children: list[int] = []
     with suppress(OSError), os.scandir("/proc") as entries:
-        found += [int(entry.name) for entry in entries if entry.name.isdecimal() and _is_child(int(entry.name))]
-    return found
+        children += [int(entry.name) for entry in entries if entry.name.isdecimal() and _is_child(int(entry.name))]
+    return children
 
 
 def _is_child(pid: int) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -41,7 +41,7 @@ def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool
     from pcbench.geometry.region_text import region_file
     from pcbench.io import write_cloud
     from pcbench.io.crop import crop as crop_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
 
@@ -95,13 +95,14 @@ def register(
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
-    from pcbench.io.files import atomic_write, check_output
+    from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
     from pcbench.registration import parse_method
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
     from pcbench.report.inputs import InputFile
+    from pcbench.scratch import atomic_write
 
     output = JsonOutput(json_file)
     sources = Source.open(reference), Source.open(candidate, vertices=vertices)
@@ -222,6 +223,7 @@ def convert(
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.io.files import errors_named
     from pcbench.io.las_records import NO_FILTERS, parse_filters
+    from pcbench.io.outputs import check_output
     from pcbench.io.polygons import left_out_surface
     from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
@@ -229,15 +231,15 @@ def convert(
 
     if from_crs is not None and crs is None:
         raise click.UsageError("--from-crs needs --crs, the new coordinate system")
+    wanted_classes = None if classes is None else parse_integers("--classes", classes)
+    wanted_returns = None if returns is None else parse_returns("--returns", returns)
     with errors_named(cloud):
-        filters = parse_filters(
-            None if classes is None else parse_integers("--classes", classes),
-            None if returns is None else parse_returns("--returns", returns),
-        )
+        filters = parse_filters(wanted_classes, wanted_returns)
     source = Source.open(cloud, filters)
-    check_cloud_output(out, source.files)
-    of_clouds = {"min_opacity": min_opacity, "max_axis": max_axis, "color_depth": color_depth}
-    filters_points = drop_nodata or filters != NO_FILTERS or any(value is not None for value in of_clouds.values())
+    check_output(out, source.files)
+    check_cloud_output(out)
+    options: dict[str, Any] = {"min_opacity": min_opacity, "max_axis": max_axis, "color_depth": color_depth}
+    filters_points = drop_nodata or filters != NO_FILTERS or any(value is not None for value in options.values())
     if sample is not None and not source.holds_mesh:
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     if (sample is not None or source.is_mesh_only) and filters_points:
@@ -254,13 +256,7 @@ def convert(
             data = vertex_cloud(mesh)
             warn_unless(quiet)(f"{cloud}: {left_out_surface(len(data), pluralize(len(mesh), 'face'))}")
         else:
-            data = source.read_cloud(
-                warn_unless(quiet),
-                min_opacity=min_opacity,
-                max_axis=max_axis,
-                color_depth=color_depth,
-                drop_nodata=drop_nodata,
-            )
+            data = source.read_cloud(warn_unless(quiet), drop_nodata=drop_nodata, **options)
         if mirror is not None:
             data = data.transformed(reflection(mirror))
         with errors_named(cloud):

@@ -50,7 +50,7 @@ class JsonOutput:
         Raises:
             InputError: its folder does not exist, or an input or another result would be replaced.
         """
-        from pcbench.io.files import check_output
+        from pcbench.io.outputs import check_output
 
         if self.file is None:
             return
@@ -64,8 +64,8 @@ class JsonOutput:
         Raises:
             OSError: the file cannot be written.
         """
-        from pcbench.io.files import atomic_write
         from pcbench.report import to_json
+        from pcbench.scratch import atomic_write
 
         if self.on_stdout:
             click.echo(to_json(values), nl=False)

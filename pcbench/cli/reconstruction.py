@@ -103,7 +103,7 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.plugins.run import ReconstructionJob, check_workspace, is_recorded_output, record_output, run
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.regular_files import is_regular_file

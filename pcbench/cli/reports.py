@@ -340,7 +340,7 @@ def _plot_cloud(
     path: Path, out: Path, look: Figures, scalar: str | None, scene: SceneFolder | None, *, quiet: bool
 ) -> None:
     """Draw the cloud or the mesh in a file."""
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan

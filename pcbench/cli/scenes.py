@@ -49,7 +49,7 @@ def scene(
     Cameras are read from a COLMAP model, transforms.json, an Earth Studio export, Strecha's .camera files or OpenMVS.
     Intrinsics alone may come from K.txt.
     """
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.scenes import read_scene
 
     if write_cameras is not None:
@@ -214,7 +214,7 @@ def warp(
     rotated and scaled about --about, and shifted.
     """
     from pcbench.io import read_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.scenes.synthetic.warp import make_warp, record_path, similarity_from_angles, write_warped
 
     for path in (out, record_path(out)):

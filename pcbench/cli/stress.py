@@ -109,7 +109,7 @@ def stress(
     from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
     from pcbench.studies.stress.results import StressSettings
     from pcbench.studies.stress.study import GivenClouds, run_stress
-    from pcbench.studies.stress.words import answer, warnings
+    from pcbench.studies.stress.table import stress_table
 
     clouds = None
     if reconstructors and reference is not None:
@@ -145,10 +145,10 @@ def stress(
         else:
             outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
     if not quiet:
-        for sentence in (*answer(outcome.study), *warnings(outcome.study)):
+        for sentence in outcome.study.sentences:
             click.echo(sentence)
         click.echo()
-        click.echo(outcome.table)
+        click.echo(stress_table(outcome.study))
         click.echo()
         click.echo(name_files("report", out, "stress.md", "stress.csv", "stress.json"))
     warn_of_missing(outcome)

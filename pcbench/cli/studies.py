@@ -216,6 +216,7 @@ def bench(
 def _bench_and_print(
     job: BenchJob, out: Path, output: JsonOutput, *, workers: Workers | None = None, figures: bool, quiet: bool
 ) -> None:
+    from pcbench.studies.bench.results import KIND
     from pcbench.studies.bench.runs import FinishedRun
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
@@ -228,15 +229,15 @@ def _bench_and_print(
         outcome = run_bench(
             job, out, workers=workers, figures=figures, on_row=say, on_step=step, on_warning=warn_unless(quiet)
         )
-    doc = outcome.document
-    output.write(doc)
+    study = outcome.study
+    output.write(KIND.values(study))
     if not quiet and not output.on_stdout:
         click.echo()
-        print_bench(doc)
+        print_bench(study)
         click.echo(name_files("bench", out, "bench.md", "bench.csv", "bench.json"))
     warn_of_missing(outcome)
-    if not any(row["status"] == "ok" for row in doc["rows"]):
-        raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
+    if not study.scores:
+        raise ReconstructionError(f"{out}: none of {len(study.rows)} runs could be measured: see the messages there")
 
 
 @click.command(short_help="Measure rendered views of scenes against their photographs.")

@@ -76,7 +76,7 @@ def _plotter(path: Path, scene: SceneFolder | None, *, off_screen: bool) -> Any:
 
 
 def _write(plotter: Any, screenshot: Path) -> None:
-    from pcbench.io.files import atomic_write
+    from pcbench.scratch import atomic_write
 
     picture = BytesIO()
     plotter.screenshot(picture)
@@ -86,7 +86,7 @@ def _write(plotter: Any, screenshot: Path) -> None:
 
 
 def _check_screenshot(screenshot: Path, inputs: list[Path]) -> None:
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
 
     if screenshot.suffix.lower() != ".png":
         raise InputError(f"{screenshot}: expected a file name that ends in .png")

@@ -116,7 +116,7 @@ class ReferenceInMemory:
 
 @dataclass(frozen=True, eq=False)
 class PairInMemory:
-    """A candidate aligned with the reference; see `pcbench.comparison.pipeline.Pair`."""
+    """A candidate aligned with the reference; see `pcbench.comparison.pipeline.AlignedPair`."""
 
     reference: Reference
     aligned: AlignedCandidate

@@ -219,7 +219,7 @@ class ReferenceInTiles:
 
 @dataclass(frozen=True, eq=False)
 class PairInTiles:
-    """A candidate aligned with the reference; see `pcbench.comparison.pipeline.Pair`.
+    """A candidate aligned with the reference; see `pcbench.comparison.pipeline.AlignedPair`.
 
     Attributes:
         reference: the reference.

@@ -43,7 +43,7 @@ class PreparedReference(Protocol):
     def correlation_cells(self) -> CorrelationCells:
         """Correlation cells of the intervals."""
 
-    def register(self, name: str) -> Pair:
+    def register(self, name: str) -> AlignedPair:
         """Align the candidate of that name.
 
         Raises:
@@ -52,7 +52,7 @@ class PreparedReference(Protocol):
         """
 
 
-class Pair(Protocol):
+class AlignedPair(Protocol):
     """A candidate aligned with the reference. Each result is computed from those before it, at its first use."""
 
     @property

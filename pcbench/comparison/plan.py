@@ -208,8 +208,6 @@ def _mesh(request: Request) -> str | None:
 
 def _fits_surely(request: Request, memory: int) -> bool:
     """Return whether the sizes of the files alone show that they fit, without a look at their headers."""
-    if any(source.is_in_pieces for source in request.sources):
-        return False
     points = sum(source.nbytes for source in request.sources) / _MIN_FILE_BYTES_PER_POINT
     return _BASE_BYTES + _BYTES_PER_POINT * points <= memory
 

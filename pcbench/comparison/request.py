@@ -1,4 +1,4 @@
-"""What is compared: the opened inputs, the settings, and the scene whose cameras select the views."""
+"""Requests for comparisons: the opened inputs, the settings, and the scene whose cameras select the views."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class TilingChoice:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What the settings.json that is repeated says about its inputs.
+    """Facts about the inputs that the settings.json of a repeated comparison records.
 
     Attributes:
         digests: SHA-256 of files, by path.

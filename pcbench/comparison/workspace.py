@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, read_json_object
-from pcbench.scratch import OutputInUse, lock_output, make_parents, remove_empty
+from pcbench.regular_files import read_json_object
+from pcbench.scratch import OutputInUse, atomic_write, lock_output, make_parents, remove_empty
 from pcbench.systems import is_owned_by_user
 
 SCHEMA = "pcbench.workspace/1"

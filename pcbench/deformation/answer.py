@@ -34,14 +34,14 @@ def assess(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed
             resolve smaller ones.
         seed: random seed for the folds of the cross-validation.
     """
-    view = PairEvidence.of(sums)
-    finding = decide([view], metric=metric, resolution=resolution)
-    return describe(view, finding, resolution=resolution, seed=seed).without_empty_denial()
+    evidence = PairEvidence.of(sums)
+    finding = decide([evidence], metric=metric, resolution=resolution)
+    return describe(evidence, finding, resolution=resolution, seed=seed).without_empty_denial()
 
 
-def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
+def describe(evidence: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
-    sums, geometry, scores, noise = view
+    sums, geometry, scores, noise = evidence
     negligible = max(resolution, negligible_rms(noise))
     stated = stated_rms(negligible, noise)
     rungs = cross_validate(geometry, scores, noise, seed)

@@ -44,9 +44,9 @@ class Break(NamedTuple):
         )
 
 
-def find_break(view: PairEvidence) -> Break | None:
+def find_break(evidence: PairEvidence) -> Break | None:
     """Return the best vertical cut if it explains a large share of the energy, and more than the cubic model does."""
-    geometry, scores = view.geometry, view.scores
+    geometry, scores = evidence.geometry, evidence.scores
     affine = geometry.half("affine")
     coefficients = affine @ (affine.T @ scores.total)
     remainders = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)

@@ -116,7 +116,7 @@ def local_changes(
     scale = _null_scale(statistic[tested], freedom[tested]) if tested.any() else 1.0
     p = np.where(tested, chi_square_tails(statistic / scale, freedom), 1.0)
     order = np.argsort(p, kind="stable")
-    limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))
+    limits = FDR * np.arange(1, len(p) + 1) / max(1, int(tested.sum()))  # Benjamini & Hochberg 1995, eq. 1
     passed = np.flatnonzero(p[order] <= limits)
     changed = np.zeros(len(p), dtype=bool)
     if len(passed):

@@ -307,7 +307,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     squared = _squared_ratios(remainders, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function remainder * (1 - squared)^2
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
-    limited = remainders * np.square(1 - squared) / mean_slope
+    limited = remainders * np.square(1 - squared) / mean_slope  # Huber 1981, section 7.10
     power = _powers(pairs, np.square(limited))
     weights, areas = quality * mean_slope, _areas(pairs.queries)
     return Pairs(
@@ -355,8 +355,7 @@ def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArr
         means: FloatArray = points.mean(axis=1)
         spacings = distances[:, 0]
     else:
-        is_other = distances > sampling.copy_radius
-        is_other[:, -1] = True
+        is_other = sampling.is_elsewhere(distances)
         means = np.einsum("nk,nki->ni", is_other, points) / np.count_nonzero(is_other, axis=1)[:, None]
         spacings = np.take_along_axis(distances, is_other.argmax(axis=1)[:, None], axis=1)[:, 0]
     if sampling.has_lines:  # planes bridge the gap to the next line, and a curved surface leaves them there

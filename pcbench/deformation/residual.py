@@ -71,16 +71,16 @@ def residual_deformation(
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = RESOLUTION_SHARE * pairs.plane_spacing
     wholes = [PairEvidence.of(tile_sums(pairs))]
-    views = [exclude_moved_cells(wholes[0], resolution)]
-    finding = decide(views, metric=metric, resolution=resolution)
+    evidence = [exclude_moved_cells(wholes[0], resolution)]
+    finding = decide(evidence, metric=metric, resolution=resolution)
     if finding.verdict != "none":
         # A claim has to hold without the model being assumed.
         plain = search.find(follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
             wholes.append(PairEvidence.of(tile_sums(plain)))
-            views.append(exclude_moved_cells(wholes[1], resolution))
-            finding = decide(views, metric=metric, resolution=resolution)
+            evidence.append(exclude_moved_cells(wholes[1], resolution))
+            finding = decide(evidence, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_DISTANCE_GAIN) * plain.distance:
                 text = (
                     "a deformation brings the clouds closer together, but unmodified closest points do not show it; use"
@@ -94,13 +94,13 @@ def residual_deformation(
         )
         finding = finding.as_undecided(Notice("rough-places", text))
     waves = find_waves(pairs)
-    wave = _stated_wave(waves.wave, views[0].noise, resolution)
+    wave = _stated_wave(waves.wave, evidence[0].noise, resolution)
     if wave is not None:
         plain = search.find(follow=False)  # as for the other models
         wave = None if plain is None or find_waves(plain).wave is None else wave
     if wave is not None and finding.is_open_to_waves:
         finding = finding._replace(verdict="non-affine", warnings=())
-    broken = find_break(views[-1])
+    broken = find_break(evidence[-1])
     if broken is not None:
         finding = finding.as_undecided(Notice("parts-displaced", broken.text(origin)))
     if registration.doubtful and _bend_explains_doubt(finding, registration, search, pairs.field):
@@ -109,7 +109,7 @@ def residual_deformation(
     finding = _with_registration(finding, registration, pairs)
     # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
     which = -1 if (finding.conditional or finding.verdict) == "none" else 0
-    described, whole = views[which], wholes[which]
+    described, whole = evidence[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
     answer = answer.with_waves(wave, waves.limit).without_empty_denial()
     if described is not whole:
@@ -125,16 +125,16 @@ def residual_deformation(
 
 def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
     """Exclude the few cells that clearly moved by themselves: a smooth model would bend towards them."""
-    view, most = whole, (1 - _MAX_MOVED_SHARE) * len(whole.sums.counts)
+    evidence, most = whole, (1 - _MAX_MOVED_SHARE) * len(whole.sums.counts)
     for _ in range(_MAX_EXCLUSION_PASSES):  # once some are excluded, more may stand out
-        changed, length, _ = local_changes(view.geometry, view.noise, view.sums, resolution)
-        moved = changed & (length > _MOVED_SIGMAS * math.sqrt(view.noise.white + view.noise.correlated))
+        changed, length, _ = local_changes(evidence.geometry, evidence.noise, evidence.sums, resolution)
+        moved = changed & (length > _MOVED_SIGMAS * math.sqrt(evidence.noise.white + evidence.noise.correlated))
         if not moved.any():
             break
         if len(moved) - np.count_nonzero(moved) < most:
             return whole
-        view = PairEvidence.of(view.sums.without(moved))
-    return view
+        evidence = PairEvidence.of(evidence.sums.without(moved))
+    return evidence
 
 
 def _bend_explains_doubt(finding: Finding, registration: Registration, search: PairSearch, field: Displacement) -> bool:

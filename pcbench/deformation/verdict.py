@@ -87,11 +87,11 @@ class Finding(NamedTuple):
         return self._replace(verdict="undecided", conditional=self.verdict, warnings=(reason, *self.warnings))
 
 
-def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
+def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
     """Return the smallest adequate model, tested from the largest down.
 
     A larger model is stated only if it is significant and its size is not negligible; the whole interval of the size of
-    a non-affine one has to lie above the negligible size, in each view. An affine or larger one must also
+    a non-affine one has to lie above the negligible size, for each set of pairs. An affine or larger one must also
     predict tiles that are left out of its fit significantly better than the smaller model does. Tiny systematic errors
     of a scanner or of a matching method are significant if there are enough points. Errors of planes through sparse
     points near edges are significant too, but do not continue from tile to tile. Closest points hide a displacement
@@ -99,24 +99,24 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     than that of any reconstruction. There is then no verdict.
 
     Args:
-        views: evidence of several sets of pairs of the same clouds; all must agree.
+        evidence: that of several sets of pairs of the same clouds; all must agree.
         metric: whether the scale of both clouds is known; otherwise a difference in scale is not a deformation.
         resolution: smallest deformation that counts, in the clouds' unit.
     """
-    geometry, noise = views[0].geometry, views[0].noise
+    geometry, noise = evidence[0].geometry, evidence[0].noise
     negligible = max(resolution, negligible_rms(noise))
 
     def compare(smaller: str, larger: str) -> Evidence:
-        return least_significant([compare_models(view, smaller, larger) for view in views])
+        return least_significant([compare_models(each, smaller, larger) for each in evidence])
 
     def sizes(smaller: str, larger: str) -> list[Amplitude]:
-        """Return the size of the larger model's part in each view; none if it has no modes."""
-        steps = [(view, view.geometry.step(smaller, larger)) for view in views]
+        """Return the size of the larger model's part for each set of pairs; none if it has no modes."""
+        steps = [(each, each.geometry.step(smaller, larger)) for each in evidence]
         if not all(step.modes.shape[1] for _, step in steps):
             return []
         return [
-            with_systematic_errors(amplitude(view.geometry, view.scores, view.noise, step), view.noise)
-            for view, step in steps
+            with_systematic_errors(amplitude(each.geometry, each.scores, each.noise, step), each.noise)
+            for each, step in steps
         ]
 
     def is_needed(smaller: str, larger: str) -> bool:
@@ -124,7 +124,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         return compare(smaller, larger).significant and bool(amplitudes) and min(a.rms for a in amplitudes) > negligible
 
     def gain(smaller: str, larger: str) -> float:
-        return min(prediction_gain(view, smaller, larger) for view in views)
+        return min(prediction_gain(each, smaller, larger) for each in evidence)
 
     non_affine = compare("affine", "cubic")
     tiles = len(geometry.tile_matrices)
@@ -162,7 +162,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
-    if model != "affine" and (hidden := min(_affine_rms(view) for view in views)) > negligible:
+    if model != "affine" and (hidden := min(_affine_rms(each) for each in evidence)) > negligible:
         text = (
             f"{hidden:.2g} RMS along the normals may be a deformation, or a shear or stretch along surfaces that"
             " hardly constrain it; use a scene with walls, or control points (--register points:FILE)"
@@ -204,29 +204,29 @@ def least_significant(evidence: Sequence[Evidence]) -> Evidence:
     return max(evidence, key=lambda each: each.p)
 
 
-def compare_models(view: PairEvidence, smaller: str, larger: str) -> Evidence:
+def compare_models(evidence: PairEvidence, smaller: str, larger: str) -> Evidence:
     """Test a smaller model against a larger one (the null hypothesis is that the smaller one suffices)."""
-    step = view.geometry.step(smaller, larger)
-    modes = step.modes.T @ view.scores.total
+    step = evidence.geometry.step(smaller, larger)
+    modes = step.modes.T @ evidence.scores.total
     if not len(modes):
         return Evidence(0, 1.0)
-    weights = np.linalg.eigvalsh(view.geometry.covariance(step, view.noise)).astype(np.float64)
+    weights = np.linalg.eigvalsh(evidence.geometry.covariance(step, evidence.noise)).astype(np.float64)
     return Evidence(len(modes), chi_squares_tail(float(modes @ modes), weights))
 
 
-def _affine_rms(view: PairEvidence) -> float:
+def _affine_rms(evidence: PairEvidence) -> float:
     """Return the RMS along the normals that an affine field explains beyond a similarity, observable or not.
 
     A dome of nearly flat ground looks like a large stretch along the ground, which the affine models include although
     no test shows it.
     """
-    explained = [view.geometry.explained_sum(view.scores, model) for model in ("similarity", "affine")]
-    return math.sqrt(max(0.0, explained[1] - explained[0]) / view.geometry.total)
+    explained = [evidence.geometry.explained_sum(evidence.scores, model) for model in ("similarity", "affine")]
+    return math.sqrt(max(0.0, explained[1] - explained[0]) / evidence.geometry.total)
 
 
-def prediction_gain(view: PairEvidence, smaller: str, larger: str) -> float:
+def prediction_gain(evidence: PairEvidence, smaller: str, larger: str) -> float:
     """Return how much better a larger model predicts tiles left out of its fit, in standard errors over the tiles."""
-    losses = [_left_out_losses(view.geometry, view.scores, model, seed=0) for model in (smaller, larger)]
+    losses = [_left_out_losses(evidence.geometry, evidence.scores, model, seed=0) for model in (smaller, larger)]
     return in_standard_errors(losses[0] - losses[1])
 
 

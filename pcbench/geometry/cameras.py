@@ -145,16 +145,16 @@ class Camera:
         Brown 1966 in OpenCV's form: x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2), and
         y' = y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y.
         """
-        at = self.cam_from_world.apply(points)
+        in_camera = self.cam_from_world.apply(points)
         k1, k2, p1, p2 = self.intrinsics.distortion
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # points beside the camera
-            x, y = at[:, 0] / at[:, 2], at[:, 1] / at[:, 2]
+            x, y = in_camera[:, 0] / in_camera[:, 2], in_camera[:, 1] / in_camera[:, 2]
             r2 = x * x + y * y
             radial = 1 + r2 * (k1 + r2 * k2)
             u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
             v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
             k = self.intrinsics
-            return np.stack([k.fx * u + k.cx, k.fy * v + k.cy], axis=1), at[:, 2]
+            return np.stack([k.fx * u + k.cx, k.fy * v + k.cy], axis=1), in_camera[:, 2]
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Similarity:

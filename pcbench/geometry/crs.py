@@ -54,8 +54,8 @@ def crs_name(text: str) -> str:
 
 def crs_argument(text: str) -> str:
     """Return a CRS as an argument for a command: its code, such as EPSG:32617, or the word CRS if it has none."""
-    found = crs_name(text)
-    return found if re.fullmatch(r"[A-Z]+:\w+(\+\d+)?", found) else "CRS"
+    name = crs_name(text)
+    return name if re.fullmatch(r"[A-Z]+:\w+(\+\d+)?", name) else "CRS"
 
 
 def crs_label(text: str) -> str:
@@ -264,8 +264,8 @@ def suggested_crs(text: str | None, longitude: float, latitude: float) -> str:
         from pyproj.database import query_utm_crs_info
 
         place = AreaOfInterest(longitude, latitude, longitude, latitude)
-        found = query_utm_crs_info(crs.geodetic_crs.name, place)
-        return f"EPSG:{found[0].code}" if found else f"EPSG:{code}"
+        zones = query_utm_crs_info(crs.geodetic_crs.name, place)
+        return f"EPSG:{zones[0].code}" if zones else f"EPSG:{code}"
     return f"EPSG:{code}"
 
 

@@ -17,26 +17,26 @@ _SAMPLES_PER_POINT, _MIN_SAMPLES, _MAX_SAMPLES = 10, 100_000, 5_000_000
 _MAX_SPACING_SHARE = 0.5  # of the reference's spacing; wider samples dominate the distances from the reference
 
 
-def sample_reference(given: Cloud | Mesh, seed: int = 0) -> Cloud:
+def sample_reference(shape: Cloud | Mesh, seed: int = 0) -> Cloud:
     """Return a cloud unchanged, or a million points sampled on a mesh uniformly by area."""
-    return given.sample(REFERENCE_SAMPLES, seed) if isinstance(given, Mesh) else given
+    return shape.sample(REFERENCE_SAMPLES, seed) if isinstance(shape, Mesh) else shape
 
 
-def sample_candidate(given: Cloud | Mesh, reference: Cloud | Mesh, seed: int = 0) -> Cloud:
+def sample_candidate(candidate: Cloud | Mesh, reference: Cloud | Mesh, seed: int = 0) -> Cloud:
     """Return a cloud unchanged, or points sampled on a mesh uniformly by area.
 
     Beside a cloud there are ten per point of the reference, between 100,000 and 5 million; beside a mesh a million.
     """
-    if not isinstance(given, Mesh):
-        return given
+    if not isinstance(candidate, Mesh):
+        return candidate
     if isinstance(reference, Mesh):
-        return given.sample(REFERENCE_SAMPLES, seed)
-    return given.sample(min(max(_SAMPLES_PER_POINT * len(reference), _MIN_SAMPLES), _MAX_SAMPLES), seed)
+        return candidate.sample(REFERENCE_SAMPLES, seed)
+    return candidate.sample(min(max(_SAMPLES_PER_POINT * len(reference), _MIN_SAMPLES), _MAX_SAMPLES), seed)
 
 
-def vertex_cloud(given: Cloud | Mesh) -> Cloud:
+def vertex_cloud(shape: Cloud | Mesh) -> Cloud:
     """Return a cloud unchanged, or the vertices of a mesh."""
-    return Cloud(given.vertices, crs=given.crs, unit=given.unit) if isinstance(given, Mesh) else given
+    return Cloud(shape.vertices, crs=shape.crs, unit=shape.unit) if isinstance(shape, Mesh) else shape
 
 
 def sampling_notice(mesh: Mesh, count: int, seed: int, *, scale: float, spacing: float | None = None) -> Notice:
@@ -50,10 +50,11 @@ def sampling_notice(mesh: Mesh, count: int, seed: int, *, scale: float, spacing:
         spacing: spacing of the reference's points; None: the reference is sampled too.
     """
     text = f"the candidate is a mesh: it is measured at {count:,} points sampled on its faces by area (seed {seed})"
-    apart = scale * math.sqrt(math.log(2) * mesh.area / (math.pi * count))  # median to the nearest of random points
-    if spacing is not None and apart > _MAX_SPACING_SHARE * spacing:
+    # The median distance of random points to the nearest one.
+    sample_spacing = scale * math.sqrt(math.log(2) * mesh.area / (math.pi * count))
+    if spacing is not None and sample_spacing > _MAX_SPACING_SHARE * spacing:
         text += (
-            f"; they are {apart:.2g} apart, and the reference's points {spacing:.2g}, so that their spacing adds to"
-            " distances from the reference: compare more samples (pcbench convert MESH SAMPLES.ply --sample N)"
+            f"; they are {sample_spacing:.2g} apart, and the reference's points {spacing:.2g}, so that their spacing"
+            " adds to distances from the reference: compare more samples (pcbench convert MESH SAMPLES.ply --sample N)"
         )
     return Notice(SAMPLED_MESH, text)

@@ -60,16 +60,16 @@ class Surface:
         k: number of neighbours from which a normal is estimated.
         is_even: whether the points are spread evenly. If it is not known, normals are estimated from more neighbours
             where the points have copies or lie in lines.
-        given: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
+        normals: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
     """
 
-    def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None, *, is_even: bool = True) -> None:
+    def __init__(self, index: Index, k: int = 20, normals: FloatArray | None = None, *, is_even: bool = True) -> None:
         self.index = index
         self._positions, self._is_even = k, is_even
         self._normals: FloatArray | None = None  # NaN where not yet computed
         self._is_known = np.zeros(len(index), dtype=bool)
-        if given is not None:
-            self._normals, self._is_known = unit(given)
+        if normals is not None:
+            self._normals, self._is_known = unit(normals)
             self._normals[~self._is_known] = np.nan
         self._is_complete = bool(self._is_known.all())
         self._variation = np.full(len(index), np.nan, dtype=np.float32)
@@ -106,6 +106,15 @@ class Surface:
             InputError: there are fewer than three points.
         """
         return self.compute_normals(rows)[rows]
+
+    def plane_offsets(self, points: FloatArray, rows: IntArray) -> FloatArray:
+        """Return signed distances (M,) of points (M, 3) from the tangent planes at the indices `rows` (M,).
+
+        Raises:
+            InputError: there are fewer than three points.
+        """
+        offsets: FloatArray = np.einsum("ni,ni->n", points - self.points[rows], self.normals(rows))
+        return offsets
 
     def compute_normals(self, rows: IntArray | None) -> FloatArray:
         """Compute the normals at the indices `rows` (M,), or at all points if None, and return those of all points.

@@ -50,8 +50,8 @@ def interpolate(below: FloatArray, above: FloatArray, share: FloatArray) -> Floa
     """Return the percentiles (R,) between order statistics (R,), with numpy's rounding; see `neighboring_ranks`."""
     with np.errstate(invalid="ignore"):  # between infinite values
         step = above - below
-        found: FloatArray = np.where(share >= 0.5, above - step * (1 - share), below + step * share)
-    return found
+        interpolated: FloatArray = np.where(share >= 0.5, above - step * (1 - share), below + step * share)
+    return interpolated
 
 
 def robust_sigma(residuals: FloatArray) -> float:
@@ -82,7 +82,7 @@ def _middle(values: FloatArray, center: float | None) -> float:
 def _order_statistics(values: FloatArray, center: float | None, ranks: IntArray) -> FloatArray:
     """Return the values of ranks (...,) from 0 among values (N,), or among their distances from `center`."""
     ascending, inverse = np.unique(ranks, return_inverse=True)
-    found = np.full(len(ascending), np.nan)
-    _core.order_statistics(np.ascontiguousarray(values, np.float64), center, ascending, found)
-    selected: FloatArray = found[inverse].reshape(ranks.shape)
+    statistics = np.full(len(ascending), np.nan)
+    _core.order_statistics(np.ascontiguousarray(values, np.float64), center, ascending, statistics)
+    selected: FloatArray = statistics[inverse].reshape(ranks.shape)
     return selected

@@ -71,6 +71,15 @@ class Sampling(NamedTuple):
             return f"median distance to the nearest neighbour beyond {self.copy_radius:.1g}: nearer points are copies"
         return "median distance to the nearest neighbour"
 
+    def is_elsewhere(self, distances: FloatArray) -> NDArray[np.bool_]:
+        """Return which neighbours of points, at distances (M, K), are no copies of them.
+
+        The last one always counts: there may be more copies than neighbours.
+        """
+        is_other = distances > self.copy_radius
+        is_other[:, -1] = True
+        return is_other
+
     def neighbors(self, positions: int) -> int:
         """Return the number of nearest points of a point, itself included, that are at about this many positions."""
         return max(positions, round(positions * self.copies))
@@ -186,8 +195,8 @@ def _copy_radius(profile: FloatArray) -> float:
 def _median_first(distances: FloatArray, is_other: NDArray[np.bool_]) -> float:
     """Return the median over rows of the first distance (M, K) that is one to another position."""
     first = np.where(is_other, distances, np.inf).min(axis=1)
-    found = first[np.isfinite(first)]
-    return median(found) if len(found) else 0.0
+    finite = first[np.isfinite(first)]
+    return median(finite) if len(finite) else 0.0
 
 
 def _median_nearest(index: Index, nearest_other: Matches | None) -> float:
@@ -216,12 +225,11 @@ def nearest_elsewhere(index: Index, sampling: Sampling, rows: IntArray, queries:
     """
     own = index.points[rows]
     k = 2 if sampling.copies == 1 else 1 + _MAX_COPIES
-    found = index.query(own if queries is None else queries, min(k, len(index)))
-    apart = np.linalg.norm(index.points[found.indices] - own[:, None], axis=2)
-    is_other = apart > sampling.copy_radius
-    is_other[:, -1] = True  # of too many copies
+    matches = index.query(own if queries is None else queries, min(k, len(index)))
+    separations = np.linalg.norm(index.points[matches.indices] - own[:, None], axis=2)
+    is_other = sampling.is_elsewhere(separations)
     first = is_other.argmax(axis=1)[:, None]
-    distances, indices = found
+    distances, indices = matches
     return Matches(np.take_along_axis(distances, first, 1)[:, 0], np.take_along_axis(indices, first, 1)[:, 0])
 
 

@@ -263,7 +263,7 @@ def fit_similarity(
 ) -> Similarity:
     """Fit the least-squares similarity, or rigid motion, that maps candidate (N, 3) onto reference (N, 3) points.
 
-    Umeyama 1991, eqs. 40-42: the rotation from the SVD of the cross-covariance with its reflection correction, then the
+    Umeyama 1991, eqs. 38-43: the rotation from the SVD of the cross-covariance with its reflection correction, then the
     scale, then the translation. This order matters: a translation from before the correction is wrong for planar sets.
 
     Args:
@@ -285,17 +285,17 @@ def fit_similarity(
     w = np.full(len(candidate), 1 / len(candidate)) if weights is None else weights / weights.sum()
     mean_c, mean_r = np.einsum("n,ni->i", w, candidate), np.einsum("n,ni->i", w, reference)
     c, r = candidate - mean_c, reference - mean_r
-    covariance = np.einsum("ni,n,nj->ij", r, w, c)
+    covariance = np.einsum("ni,n,nj->ij", r, w, c)  # eq. 38
     variances = np.linalg.eigvalsh(np.einsum("ni,n,nj->ij", c, w, c))
     # Eigenvalues are squared lengths; rounding leaves about 1e-16 of the largest in place of zero.
     u, singular, vt = np.linalg.svd(covariance)
     # The covariance has rank one if either set lies on a line.
     if variances[1] <= 1e-14 * variances[2] or singular[1] <= 1e-14 * singular[0]:
         raise InputError("expected pairs that span a plane, got points on one line: the rotation is not determined")
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * sign) @ vt
-    scale = float((singular * sign).sum() / variances.sum()) if with_scale else 1.0
-    return Similarity(rotation, mean_r - scale * rotation @ mean_c, scale)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])  # eq. 43
+    rotation = (u * sign) @ vt  # eq. 40
+    scale = float((singular * sign).sum() / variances.sum()) if with_scale else 1.0  # eq. 42
+    return Similarity(rotation, mean_r - scale * rotation @ mean_c, scale)  # eq. 41
 
 
 def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True) -> Similarity:

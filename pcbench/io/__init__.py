@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.io.files import Warn, as_path, check_output, errors_named, report_warnings
+from pcbench.io.files import Warn, as_path, errors_named, report_warnings
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
 from pcbench.io.las_records import parse_filters
+from pcbench.io.outputs import check_output
 from pcbench.io.source import Source
 
 __all__ = [

@@ -20,8 +20,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_folders import MAX_MODEL_BYTES
 from pcbench.io.colmap_text import ImagePose, check_complete, data_lines, excerpt, parse_images
-from pcbench.io.files import MAX_PADDING, Warn, atomic_write, check_end
+from pcbench.io.files import MAX_PADDING, Warn, check_end
 from pcbench.regular_files import has_entry, open_regular, read_bytes
+from pcbench.scratch import atomic_write
 
 # Name and parameter count of the camera models, by COLMAP's model ID.
 _MODELS_BY_ID = {

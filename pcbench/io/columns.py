@@ -32,10 +32,10 @@ def parse_rows(lines: Sequence[bytes], width: int, place_of: Callable[[int], str
         pass  # the loop finds the line
     for number, line in enumerate(lines):
         words = line.split()
-        if len(words) != width:
-            raise InputError(f"{place_of(number)}: expected {width} values, got {len(words)}: export the file again")
         if not all(map(_is_number, words)):
             raise not_numbers_error(place_of(number), line)
+        if len(words) != width:
+            raise InputError(f"{place_of(number)}: expected {width} values, got {len(words)}: export the file again")
     raise InputError("expected lines of numbers, got other text: export the file again")
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.errors import InputError, PcbenchError
-from pcbench.io.files import input_files
 from pcbench.io.gltf import external_files
-from pcbench.io.paths import EPT, is_tiled
+from pcbench.io.paths import EPT, input_files, is_tiled
 from pcbench.regular_files import sha256_of
 from pcbench.systems import cpu_count
 

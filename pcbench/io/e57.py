@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
-from pcbench.io.files import Fields, Warn, read_json
+from pcbench.io.files import Fields, Warn
 from pcbench.io.names import COLORS, NORMALS, XYZ, Columns, standard_names, take_fields
+from pcbench.regular_files import read_json
 from pcbench.scratch import scratch_folder
 
 _WORKER = str(Path(__file__).with_name("e57_worker.py"))

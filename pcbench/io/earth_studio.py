@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.geodesy import Gps, enu_axes, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
-from pcbench.io.files import read_json
+from pcbench.io.files import errors_named
+from pcbench.regular_files import read_json
 
 # Hint for users who have Earth Studio's own project file.
 PROJECT_FILE_HINT = (
@@ -49,20 +50,20 @@ def read_earth_studio(path: Path) -> EarthStudio:
         InputError: the file is not such an export, a number is missing, or local positions cannot be converted. The
             message starts with the path.
     """
-    try:
+    with errors_named(path):
         document = read_json(path)
         if not isinstance(document, dict) or not document.get("cameraFrames"):
             raise InputError(
                 "expected an Earth Studio camera export with cameraFrames, got other JSON: export it again"
             )
-        return _earth_studio(document)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{path}: expected an Earth Studio camera export (JSON), got a damaged one: {what}") from None
+        try:
+            cameras = _earth_studio(document)
+        except InputError:  # also a ValueError, but its message is complete
+            raise
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"expected an Earth Studio camera export (JSON), got a damaged one: {what}") from None
+    return cameras
 
 
 def describe_sphere_scale(origin: Gps) -> str:

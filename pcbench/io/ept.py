@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Storage
-from pcbench.io.files import Fields, Warn, errors_named, read_json
+from pcbench.io.files import Fields, Warn, errors_named
 from pcbench.io.las import brightest_of, filter_records, las_fields
 from pcbench.io.las_checks import LasCounts, count_records
 from pcbench.io.las_crs import WKT, read_crs
@@ -25,6 +25,7 @@ from pcbench.io.las_header import EXTRA_BYTES, LasHeader, read_extras, read_head
 from pcbench.io.las_records import LasFilters, has_normals, no_match_error, parse_filters, record_type
 from pcbench.io.laz import LazRun, decompress, read_chunks
 from pcbench.io.names import COLORS, NORMALS, XYZ, standard_names
+from pcbench.regular_files import read_json
 
 _EXTENSIONS = {"laszip": "laz", "binary": "bin"}
 _KINDS = {"signed": "i", "unsigned": "u", "float": "f", "floating": "f"}  # PDAL says floating

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.crs import epsg_code
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 
 _STRIP_BYTES = 1 << 18
 _MAX_GROWTH = 1032  # of deflate

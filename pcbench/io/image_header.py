@@ -14,9 +14,10 @@ from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.exif import gps_from_exif, orientation_from_exif
+from pcbench.io.files import errors_named
 from pcbench.regular_files import open_regular
 
 EXTENSIONS = (".jpg", ".jpeg", ".png")
@@ -49,27 +50,22 @@ def read_image_header(path: Path) -> ImageHeader:
     Raises:
         InputError: the file is missing, empty, truncated, or in neither format. The message starts with the path.
     """
-    try:
-        with open_regular(path) as file:
-            start = file.read(8)
-            if not start:
-                raise InputError("expected an image, got an empty file (0 bytes): copy it again or remove it")
-            if start == _PNG:
-                header = _png(file)
-            elif start[:2] == b"\xff\xd8":
-                file.seek(2)
-                header = _jpeg(file)
-            else:
-                raise InputError("expected a JPEG or PNG image, got another format: convert it to JPEG or PNG")
-            if header.width < 1 or header.height < 1:
-                raise InputError(
-                    f"expected an image of at least 1 x 1 pixels, got {header.width} x {header.height}: copy it again"
-                )
-            return header
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
+    with errors_named(path), open_regular(path) as file:
+        start = file.read(8)
+        if not start:
+            raise InputError("expected an image, got an empty file (0 bytes): copy it again or remove it")
+        if start == _PNG:
+            header = _png(file)
+        elif start[:2] == b"\xff\xd8":
+            file.seek(2)
+            header = _jpeg(file)
+        else:
+            raise InputError("expected a JPEG or PNG image, got another format: convert it to JPEG or PNG")
+        if header.width < 1 or header.height < 1:
+            raise InputError(
+                f"expected an image of at least 1 x 1 pixels, got {header.width} x {header.height}: copy it again"
+            )
+    return header
 
 
 def _png(file: BinaryIO) -> ImageHeader:
@@ -109,17 +105,17 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
         while len(marker) == 2 and marker[1] == 0xFF:  # fill bytes
             marker = marker[1:] + file.read(1)
         if len(marker) < 2 or marker[0] != 0xFF or marker[1] == _START_OF_SCAN:
-            raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+            break
         if marker[1] in _STANDALONE_MARKERS:
             continue
         length_bytes = file.read(2)
         length = int.from_bytes(length_bytes, "big")
         if len(length_bytes) < 2 or length < 2:
-            raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+            break
         if marker[1] in _FRAME_MARKERS:
             frame = file.read(5)
             if len(frame) < 5:
-                raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+                break
             height, width = struct.unpack(">HH", frame[1:])
             return ImageHeader(width, height, gps, orientation=orientation)
         if marker[1] == _APP1:
@@ -128,3 +124,4 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
                 gps, orientation = gps_from_exif(segment[6:]), orientation_from_exif(segment[6:])
         else:
             file.seek(length - 2, 1)
+    raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")

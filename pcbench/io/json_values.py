@@ -30,13 +30,18 @@ def to_json(values: Any) -> str:
 def json_values(value: Any) -> Any:
     """Convert numpy values, tuples and dataclasses to JSON values; non-finite numbers become null.
 
-    Fields with the metadata `json=False` are omitted. The codes of warnings are written beside their texts.
+    Fields with the metadata `json=False` are omitted; the keys of those with `flat=True` are in the same object. The
+    codes of warnings are written beside their texts.
     """
     if isinstance(value, Notice):
         return value.text
     if is_dataclass(value) and not isinstance(value, type):
         types = _types_of(type(value))
-        items: dict[str, Any] = {name: getattr(value, name) for name in types}
+        items: dict[str, Any] = {}
+        for name in types:
+            items |= (
+                (json_values(getattr(value, name)) or {}) if _is_flat(value, name) else {name: getattr(value, name)}
+            )
         if types.get("warnings") == _NOTICES:
             items[_CODES] = [notice.code for notice in items["warnings"]]
         return json_values(items)
@@ -96,8 +101,27 @@ def _object(kind: Any, values: Mapping[str, Any]) -> Any:
     if types.get("warnings") == _NOTICES:
         notices = zip(values.get(_CODES, ()), values["warnings"], strict=True)
         values = {**values, "warnings": [{"code": code, "text": text} for code, text in notices]}
-    names = [name for name in types if name in values or _is_required(kind, name)]
-    return kind(**{name: _converted(types[name], values[name]) for name in names})
+    converted = {}
+    for name, of in types.items():
+        if _is_flat(kind, name):
+            converted[name] = _flat_object(of, values)
+        elif name in values or _is_required(kind, name):
+            converted[name] = _converted(of, values[name])
+    return kind(**converted)
+
+
+def _flat_object(kind: Any, values: Mapping[str, Any]) -> Any:
+    """Return an object whose keys are among others; None if it is optional and they have none of its required ones."""
+    if NoneType not in get_args(kind):
+        return _object(kind, values)
+    kind = next(part for part in get_args(kind) if part is not NoneType)
+    return (
+        _object(kind, values) if any(name in values for name in _types_of(kind) if _is_required(kind, name)) else None
+    )
+
+
+def _is_flat(kind: Any, name: str) -> bool:
+    return bool(kind.__dataclass_fields__[name].metadata.get("flat", False))
 
 
 def _is_required(kind: Any, name: str) -> bool:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Intrinsics
+from pcbench.io.files import errors_named
 from pcbench.regular_files import read_text
 
 K_MATRIX_FILE = "K.txt"
@@ -22,22 +23,19 @@ def read_k_matrix(path: Path) -> FloatArray:
     Raises:
         InputError: the file does not contain such a matrix, or it has skew. The message starts with the path.
     """
-    try:
+    with errors_named(path):
         words = read_text(path).replace(",", " ").split()
-        values = np.array([float(word) for word in words])
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except ValueError:
-        raise InputError(f"{path}: expected the nine numbers of a 3x3 matrix K, got other text: correct it") from None
-    if values.shape != (9,) or not np.isfinite(values).all():
-        raise InputError(f"{path}: expected nine finite numbers, a 3x3 matrix K; got {len(values)} values: correct it")
-    k: FloatArray = values.reshape(3, 3)
-    if not (k[0, 0] > 0 and k[1, 1] > 0) or abs(k[0, 1]) > 1e-6 * k[0, 0] or k[1, 0] or k[2].tolist() != [0, 0, 1]:
-        raise InputError(
-            f"{path}: expected K as fx 0 cx, 0 fy cy, 0 0 1, with positive focal lengths and no skew: correct it"
-        )
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            raise InputError("expected the nine numbers of a 3x3 matrix K, got other text: correct it") from None
+        if values.shape != (9,) or not np.isfinite(values).all():
+            raise InputError(f"expected nine finite numbers, a 3x3 matrix K; got {len(values)} values: correct it")
+        k: FloatArray = values.reshape(3, 3)
+        if not (k[0, 0] > 0 and k[1, 1] > 0) or abs(k[0, 1]) > 1e-6 * k[0, 0] or k[1, 0] or k[2].tolist() != [0, 0, 1]:
+            raise InputError(
+                "expected K as fx 0 cx, 0 fy cy, 0 0 1, with positive focal lengths and no skew: correct it"
+            )
     return k
 
 

@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io import laz
 from pcbench.io.color_depth import brightest
 from pcbench.io.columns import plain_type
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import Fields, Warn
 from pcbench.io.las_checks import count_records, warn_of_rest
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
 from pcbench.io.las_grid import choose_grid
@@ -47,6 +47,7 @@ from pcbench.io.las_records import (
     returns_of,
 )
 from pcbench.io.names import COLORS, XYZ, left_out_warning, standard_names, stored_attributes, take_normals
+from pcbench.scratch import atomic_write
 
 # Standard dimensions that become attributes, with the types in which they are written.
 _STANDARD_TYPES: dict[str, np.dtype[Any]] = {

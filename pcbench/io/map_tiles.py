@@ -16,9 +16,9 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs, to_wgs84, wkt2
 from pcbench.io import write_cloud
-from pcbench.io.files import atomic_write
 from pcbench.io.geotiff import Raster, read_geotiff, write_geotiff
 from pcbench.io.las_header import read_header
+from pcbench.scratch import atomic_write
 
 _VPC_VERSION = "1.1.0"  # of STAC
 

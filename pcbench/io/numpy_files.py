@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -32,13 +32,13 @@ from pcbench.io.names import (
     standard_names,
     stored_attributes,
 )
+from pcbench.scratch import atomic_write
 
 if TYPE_CHECKING:
     from zipfile import ZipFile, ZipInfo
 
 _MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; typical arrays have 118
 _MAX_DIMENSION = 10**18  # more than any file stores; numpy's products of the shape stay within int64
-_BLOCK_BYTES = 1 << 20  # decompressed at a time
 # Bound of the decompressed size: this factor times the file size, plus bytes. Coordinates shrink 2 to 20 times.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
 _TEXT_NAMES = ("crs", "unit")
@@ -61,8 +61,16 @@ class _Header:
     header_bytes: int
 
     @property
+    def rows(self) -> int:
+        return self.shape[0] if self.shape else 1
+
+    @property
     def data_bytes(self) -> int:
         return prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def row_bytes(self) -> int:
+        return max(self.data_bytes // max(self.rows, 1), 1)
 
 
 def read_npy(path: Path, warn: Warn) -> Fields:
@@ -74,14 +82,12 @@ def read_npy(path: Path, warn: Warn) -> Fields:
         InputError: the file is not a complete array of that shape.
         OSError: the file cannot be read.
     """
+    size = path.stat().st_size
     with path.open("rb") as file:
         header = _read_header(file)
         _check_points(header)
-        size = path.stat().st_size
         _check_size(header, size)
-        array = _read_data(file, header)
-        _check_rest(file, header, size, "the array", warn)
-        return _points_fields(array)
+        return _points_fields(_read_data(file, header, size, "the array", warn))
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
@@ -115,7 +121,7 @@ def read_npz(path: Path, warn: Warn) -> Fields:
 
 def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
-    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXT_NAMES if name in members}
+    texts = {name: _read_text(archive, members.pop(name), name, warn) for name in _TEXT_NAMES if name in members}
     for name, others in _ARRAY_NAMES.items():
         if name not in members and (known := next((other for other in others if other in members), None)):
             members[name] = members.pop(known)
@@ -134,9 +140,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     for name, header in headers.items():
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
-                arrays[name] = _read_data(file, _read_header(file))
-                # Reading beyond the end makes zipfile verify the checksum.
-                _check_rest(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
+                file.seek(header.header_bytes)
+                arrays[name] = _read_data(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
@@ -175,12 +180,9 @@ def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
             raise InputError(f"expected arrays (.npy) in the archive, got {name[:40]!r}: save it with numpy.savez")
         if name in members:
             raise InputError(f"expected unique array names, got {name[:40]!r} twice: save it with numpy.savez")
-        if info.flag_bits & 1:
-            raise InputError("expected a plain archive, got an encrypted one: save it with numpy.savez")
-        if info.compress_type not in (0, 8):
-            raise InputError(
-                f"expected stored or deflated arrays, got zip method {info.compress_type}: save it with numpy.savez"
-            )
+        if info.flag_bits & 1 or info.compress_type not in (0, 8):
+            got = "an encrypted one" if info.flag_bits & 1 else f"zip method {info.compress_type}"
+            raise InputError(f"expected a stored or deflated archive, got {got}: save it with numpy.savez")
         members[name] = info
     return members
 
@@ -195,7 +197,7 @@ def _member_header(archive: ZipFile, info: ZipInfo, name: str) -> _Header:
         return header
 
 
-def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
+def _read_text(archive: ZipFile, info: ZipInfo, name: str, warn: Warn) -> str | None:
     with archive.open(info) as file:
         header = _read_header(file, kinds="U")
         _check_size(header, info.file_size)
@@ -204,7 +206,7 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
         if not header.data_bytes:
             return None
         # Not with numpy's str, which raises SystemError on an invalid code point; decode raises ValueError.
-        codes = _read_data(file, header).reshape(1).view(np.uint32)
+        codes = _read_data(file, header, info.file_size, f"text {name!r}", warn).reshape(1).view(np.uint32)
         return codes.astype("<u4").tobytes().decode("utf-32-le").rstrip("\0") or None
 
 
@@ -218,19 +220,9 @@ def _check_points(header: _Header) -> None:
 
 
 def _check_size(header: _Header, size: int) -> None:
-    available = size - header.header_bytes
-    if available < header.data_bytes:
-        per_row = header.data_bytes // max(header.shape[0], 1) if header.shape else header.data_bytes
-        complete = available // max(per_row, 1)
-        total = header.shape[0] if header.shape else 1
-        raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
-
-
-def _check_rest(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> None:
-    """Check the bytes after an array in a file of a size."""
-    rows = header.shape[0] if header.shape else 1
-    surplus = size - header.header_bytes - header.data_bytes
-    check_end(file.read(MAX_PADDING), surplus, max(header.data_bytes // max(rows, 1), 1), what, warn)
+    if (available := size - header.header_bytes) < header.data_bytes:
+        complete = available // header.row_bytes
+        raise InputError(f"truncated: got {complete} of {header.rows} rows: copy or export the file again")
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -244,56 +236,40 @@ def _points_fields(array: NDArray[Any]) -> Fields:
 
 
 def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
-    """Read the header of an array in format version 1 or 2. Version 3 is only needed for non-Latin field names."""
-    start = file.read(8)
-    if start[:6] != b"\x93NUMPY":
-        raise InputError(
-            f"expected a NumPy array that starts with b'\\x93NUMPY', got {start[:6]!r}: save it with numpy.save"
-        )
-    if start[6:] not in (b"\x01\x00", b"\x02\x00"):
-        raise InputError(f"expected NumPy format 1.0 or 2.0, got {start[6:]!r}: save it with numpy.save")
-    counter = struct.Struct("<H" if start[6] == 1 else "<I")
-    length_bytes = file.read(counter.size)
-    if len(length_bytes) < counter.size:
-        raise InputError("truncated: the array header is incomplete: copy or export the file again")
-    length = counter.unpack(length_bytes)[0]
-    if length > _MAX_HEADER_BYTES:
-        raise InputError(f"expected an array header of at most {_MAX_HEADER_BYTES} bytes, got {length}: save it again")
-    text = file.read(length)
-    if len(text) < length:
-        raise InputError("truncated: the array header is incomplete: copy or export the file again")
-
-    header = BytesIO(start + length_bytes + text)
-    np.lib.format.read_magic(header)
-    parse = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
-    unreadable = InputError(f"expected a plain array of numbers, got the header {text[:80]!r}: save it with numpy.save")
+    """Parse the header of an array in format version 1 or 2, and leave the file at its data."""
+    head = BytesIO(file.read(_MAX_HEADER_BYTES))  # numpy requests all the bytes that a damaged header states
     try:
-        shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
+        parse = np.lib.format.read_array_header_1_0
+        if np.lib.format.read_magic(head) != (1, 0):
+            parse = np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = parse(head, max_header_size=_MAX_HEADER_BYTES)
+        if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
+            raise ValueError
     except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
-        raise unreadable from error
+        got = head.getvalue()[:70]
+        raise InputError(f"expected an array of numbers as numpy.save writes it, got {got!r}: save it again") from error
     if dtype.names:
         listed = ", ".join(dtype.names)[:80]
         raise InputError(f"expected a plain array of numbers, got one with the fields {listed}: save it as (N, 3)")
-    if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
-        raise unreadable
     if dtype.kind not in kinds:
         raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")
-    return _Header(dtype, fortran_order, shape, len(start) + len(length_bytes) + length)
+    file.seek(head.tell())
+    return _Header(dtype, fortran_order, shape, head.tell())
 
 
-def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
-    """Read the array, C-contiguous and in native byte order. Its size has already been checked."""
-    data = np.empty(header.data_bytes, dtype=np.uint8)
-    filled = 0
-    while filled < len(data):
-        block = file.read(min(_BLOCK_BYTES, len(data) - filled))
-        if not block:
-            raise InputError(f"truncated: got {filled} of {len(data)} bytes: copy or export the file again")
-        data[filled : filled + len(block)] = np.frombuffer(block, dtype=np.uint8)
-        filled += len(block)
-    values = data.view(header.dtype).reshape(header.shape, order="F" if header.fortran_order else "C")
+def _read_data(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> NDArray[Any]:
+    """Read the array, C-contiguous and in native byte order, and check the rest of the file, whose size is known.
+
+    Reading beyond the array makes zipfile verify the checksum.
+    """
+    data, rest = file.read(header.data_bytes), file.read(MAX_PADDING)
+    if len(data) < header.data_bytes:
+        raise InputError(f"truncated: got {len(data)} of {header.data_bytes} bytes: copy or export the file again")
+    check_end(rest, size - header.header_bytes - header.data_bytes, header.row_bytes, what, warn)
+    values = np.frombuffer(data, np.uint8 if header.dtype.kind == "b" else header.dtype)
+    values = values.reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
-        values = data.reshape(values.shape) != 0  # bytes other than 0 and 1 are not valid bools
+        values = values != 0  # bytes other than 0 and 1 are not valid bools
     return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
 
 

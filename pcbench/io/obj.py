@@ -15,6 +15,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
+from pcbench.io.columns import excerpt
 from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.names import COLORS, NORMALS, Columns, take_fields
 from pcbench.io.polygons import left_out_surface, triangulate
@@ -67,8 +68,7 @@ def _vertices(data: bytes, warn: Warn) -> Fields:
                 raise ValueError
             rows[words[0]].append([float(word) for word in words[1:]])
         except ValueError:
-            excerpt = repr(line.strip()[:60])[1:]
-            raise InputError(f"line {number}: expected '{words[0].decode()} x y z', got {excerpt}") from None
+            raise InputError(f"line {number}: expected '{words[0].decode()} x y z', got {excerpt(line)}") from None
     vertices, normals = rows[b"v"], rows[b"vn"]
     if not vertices:
         raise InputError("expected at least one line 'v x y z', got none: export the file again")
@@ -125,8 +125,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 left_out += 1
         except (ValueError, OverflowError):
             expected = "'v x y z'" if words[0] == b"v" else f"'f a b c' with vertices 1 to {len(coordinates) // 3}"
-            excerpt = repr(line.strip()[:60])[1:]
-            raise InputError(f"line {number}: expected {expected}, got {excerpt}") from None
+            raise InputError(f"line {number}: expected {expected}, got {excerpt(line)}") from None
     if left_out:
         warn(f"left out {left_out} point and line elements")
     if not lengths:

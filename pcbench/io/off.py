@@ -14,6 +14,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
+from pcbench.io.columns import excerpt
 from pcbench.io.files import MAX_PADDING, Warn, check_end
 from pcbench.io.polygons import triangulate
 
@@ -72,8 +73,8 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                     raise ValueError
         except (ValueError, OverflowError, IndexError):
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
-            excerpt = repr(b" ".join(words)[:60])[1:]
+            got = excerpt(b" ".join(words))
             expected = f"x y z{' w' * bool(header[1])}" if number < vertex_count else "a count and that many vertices"
-            raise InputError(f"{what}: expected {expected}, got {excerpt}: export it again") from None
+            raise InputError(f"{what}: expected {expected}, got {got}: export it again") from None
     faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import Fields, Warn, check_readable, finite_cloud
+from pcbench.io.files import Fields, Warn, check_readable, errors_named, finite_cloud
 
 _VERSIONS = range(1, 8)
 _NO_POSE = 0xFFFFFFFF  # pose index of an image without a pose
@@ -56,14 +56,10 @@ def read_openmvs(path: Path, size_of: Callable[[str], tuple[int, int] | None], w
         InputError: the file is not a scene, has an unknown version or is truncated, or a pose is not a rotation. The
             message starts with the path.
     """
-    try:
+    with errors_named(path), np.errstate(all="ignore"):  # damaged numbers become infinite, and are refused
         check_readable(path)
-        with np.errstate(all="ignore"):  # damaged numbers become infinite, and are refused
-            return _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        scene = _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
+    return scene
 
 
 class _MountedCamera(NamedTuple):
@@ -243,14 +239,12 @@ def _camera(
     image: _Image, platforms: list[_Platform], size_of: Callable[[str], tuple[int, int] | None]
 ) -> Camera | None:
     """Return the camera of an image, from its camera and pose on a platform; None without a size."""
-    try:
-        platform = platforms[image.platform]
-        mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]
-    except IndexError:
-        raise InputError(
-            f"image {image.name!r}: its platform, camera or pose is not in the file: export it again"
-        ) from None
-    try:
+    with errors_named(f"image {image.name!r}"):
+        try:
+            platform = platforms[image.platform]
+            mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]
+        except IndexError:
+            raise InputError("its platform, camera or pose is not in the file: export it again") from None
         if not (np.abs([mounted.rotation, platform_rotation]) <= _MAX_ROTATION_ENTRY).all():
             raise InputError("expected rotation matrices for platform and camera, got others: export it again")
         intrinsics = mounted.intrinsics(size_of(image.name))
@@ -258,6 +252,4 @@ def _camera(
         translation = -rotation @ (platform_rotation.T @ mounted.center + center)
         if not np.isfinite(translation).all():
             raise InputError("expected a finite camera position: export the scene again")
-    except InputError as error:
-        raise InputError(f"image {image.name!r}: {error}") from None
     return None if intrinsics is None else Camera(image.name, intrinsics, Similarity(rotation, translation))

@@ -37,6 +37,20 @@ def is_tiled(path: Path) -> bool:
     return path.suffix.lower() == VPC or is_pattern(path) or path.is_dir()
 
 
+def input_files(path: Path) -> list[Path]:
+    """Return the files of a pattern or a `.vpc` index, including the index; a folder or file is returned itself.
+
+    Raises:
+        InputError: the index is damaged, or no file matches. The message starts with the path.
+    """
+    if path.is_dir() or not is_tiled(path):
+        return [path]
+    try:
+        return [*([] if is_pattern(path) else [path]), *find_tiles(path, ()).paths]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
 def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
 

@@ -19,7 +19,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.columns import as_integers, excerpt, packed_rows, parse_rows, plain_type
-from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end, read_rest
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, read_rest
 from pcbench.io.names import (
     PACKED_COLORS,
     XYZ,
@@ -30,6 +30,7 @@ from pcbench.io.names import (
     take_fields,
     take_points,
 )
+from pcbench.scratch import atomic_write
 
 _MAX_HEADER_BYTES = 1 << 20
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")

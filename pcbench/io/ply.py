@@ -19,7 +19,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.columns import packed_rows, plain_type
-from pcbench.io.files import MAX_PADDING, Fields, Look, Warn, atomic_write, check_end
+from pcbench.io.files import MAX_PADDING, Fields, Look, Warn, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -33,6 +33,7 @@ from pcbench.io.names import (
 from pcbench.io.ply_body import read_elements
 from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, check_faces, check_vertices, read_header
 from pcbench.io.polygons import left_out_surface, triangulate, triangulate_strips
+from pcbench.scratch import atomic_write
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
 _NORMAL_BLOCK = 1 << 16  # vertices

@@ -22,7 +22,7 @@ def read_one(path: Path, filters: LasFilters, color_depth: int | None, warn: War
         filters: classes and returns to keep.
         color_depth: significant bits of colours in LAS files and the like, 8 or 16; None: decided by their values.
         warn: callback for warnings, which start with the path.
-        look: what a look at the file tells.
+        look: result of a look at the file.
 
     Raises:
         InputError: as `pcbench.read_cloud`. The message names the file.

@@ -1,14 +1,16 @@
-"""What a path names: resolved once into a `Source`, from which everything about the cloud or mesh is asked.
+"""A path is resolved once into a `Source`, which answers all questions about the cloud or mesh and reads it.
 
-source = Source.open("tiles/")
-cloud = source.read(print)
-disk = source.pieces(piece_points=1_000_000)
+    source = Source.open("tiles/")
+    cloud = source.read(print)
+
+`Source.pieces` describes the same points for reading piece by piece.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +32,7 @@ from pcbench.io.contents import (
     file_states,
     status_of,
 )
-from pcbench.io.files import Look, Warn, as_path, check_readable, errors_named, estimate_reading_seconds, finite_cloud
+from pcbench.io.files import Look, Warn, as_path, check_readable, errors_named, finite_cloud
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, MESHES, MeshFormat
 from pcbench.io.gltf import external_files
 from pcbench.io.las_records import NO_FILTERS, LasFilters
@@ -85,7 +87,7 @@ class Source:
             file = named / EPT
         tiles = status = None
         with errors_named(file):
-            if is_tiled(file) and not _stores_only_meshes(file):
+            if is_pattern(file) or (is_tiled(file) and not _stores_only_meshes(file)):
                 tiles = find_tiles(file, CLOUDS)
             else:
                 check_readable(file)
@@ -105,13 +107,8 @@ class Source:
         )
 
     @property
-    def is_in_pieces(self) -> bool:
-        """Whether there are several files: of a folder, a pattern, an index, or Entwine Point Tiles."""
-        return self.tiles is not None or self.file.name == EPT
-
-    @property
     def kind(self) -> Literal["cloud", "mesh"]:
-        """What `read` returns."""
+        """Whether `read` returns a cloud or a mesh."""
         return "mesh" if self.holds_mesh and not self.vertices else "cloud"
 
     @property
@@ -122,7 +119,7 @@ class Source:
     @property
     def is_mesh_only(self) -> bool:
         """Whether the file's format stores meshes but not clouds."""
-        return _stores_only_meshes(self.file)
+        return self.tiles is None and _stores_only_meshes(self.file)
 
     @property
     def point_files(self) -> tuple[Path, ...]:
@@ -143,7 +140,7 @@ class Source:
     @property
     def reading_seconds(self) -> float:
         """Estimated seconds that reading takes, for progress bars."""
-        return sum(map(estimate_reading_seconds, self.content_files()))
+        return sum(_reading_seconds(file) for file in self.content_files() if file.is_file())
 
     def read(self, on_warning: Warn) -> Cloud | Mesh:
         """Read a mesh if the file holds one and its vertices are not wanted, otherwise a cloud.
@@ -170,15 +167,11 @@ class Source:
     ) -> Cloud:
         """Read the points; arguments and errors are those of `pcbench.read_cloud`."""
         lines = [f"{self.path}: {note}" for note in self.notes]
-
-        def warn(line: str) -> None:
-            lines.append(f"{self.file}: {line}")
-
         if self.tiles is None:
             fields = read_one(self.file, self.filters, color_depth, lines.append, self._look)
         else:
             fields = read_tiles(self.file, self.tiles, self.filters, color_depth, lines.append)
-        with errors_named(self.file):
+        with self._reporting(lines.append) as warn:
             cloud = finite_cloud(fields, warn)
             if drop_nodata:
                 cloud = without_nodata(cloud, warn)
@@ -193,25 +186,16 @@ class Source:
 
     def read_mesh(self, on_warning: Warn) -> Mesh:
         """Read the mesh; errors are those of `pcbench.read_mesh`."""
-        lines: list[str] = []
-        with errors_named(self.file):
-            mesh = self._mesh_format.read(self.file, lines.append, **self._look.options)
-        for line in lines:
-            on_warning(f"{self.file}: {line}")
-        return mesh
+        with self._reporting(on_warning) as warn:
+            return self._mesh_format.read(self.file, warn, **self._look.options)
 
     def read_vertices(self, on_warning: Warn) -> Cloud:
         """Read the vertices of a mesh; those of PLY and OBJ have normals, colours and attributes."""
-        lines: list[str] = []
-        with errors_named(self.file):
-            read = self._mesh_format.read_vertices
-            if read is None:
-                cloud = vertex_cloud(self._mesh_format.read(self.file, lines.append, **self._look.options))
-            else:
-                cloud = finite_cloud(read(self.file, lines.append, **self._look.options), lines.append)
-        for line in lines:
-            on_warning(f"{self.file}: {line}")
-        return cloud
+        with self._reporting(on_warning) as warn:
+            form, options = self._mesh_format, self._look.options
+            if form.read_vertices is None:
+                return vertex_cloud(form.read(self.file, warn, **options))
+            return finite_cloud(form.read_vertices(self.file, warn, **options), warn)
 
     def pieces(self, piece_points: int = PIECE_POINTS, *, skip_bad: bool = False) -> CloudOnDisk:
         """Describe the cloud from the headers of its files; points are only read from formats without such a header.
@@ -277,9 +261,18 @@ class Source:
                 raise changed_error(file)
         return shape, self.digest(contents)
 
+    @contextmanager
+    def _reporting(self, on_warning: Warn) -> Iterator[Warn]:
+        """Yield a callback for warnings, which are reported if the block succeeds; they and errors name the file."""
+        lines: list[str] = []
+        with errors_named(self.file):
+            yield lines.append
+        for line in lines:
+            on_warning(f"{self.file}: {line}")
+
     @cached_property
     def _look(self) -> Look:
-        """What one look at the file tells; if it is damaged, its reader says so."""
+        """The result of one look at the file; if it is damaged, its reader says so."""
         form = MESHES.get(self.file.suffix.lower())
         if self.tiles is not None or form is None:
             return Look(holds_mesh=False)
@@ -302,3 +295,8 @@ class Source:
 def _stores_only_meshes(path: Path) -> bool:
     form = MESHES.get(path.suffix.lower())
     return form is not None and form.look is None
+
+
+def _reading_seconds(file: Path) -> float:
+    is_slow = file.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc")
+    return 0.02 + file.stat().st_size / (20e6 if is_slow else 200e6)

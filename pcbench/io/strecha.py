@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
+from pcbench.io.files import errors_named
 from pcbench.regular_files import read_text
+
+_EXPECTED = "expected 26 finite numbers (K, distortion, R, C, width and height)"
 
 
 def read_strecha(path: Path) -> Camera:
@@ -22,12 +25,14 @@ def read_strecha(path: Path) -> Camera:
         InputError: the file is malformed, the image is distorted, or R is not a rotation. The message starts with the
             path.
     """
-    try:
-        values = np.array([float(word) for word in read_text(path).split()])
-        if values.shape != (26,):
-            raise InputError(
-                f"expected 26 numbers (K, distortion, R, C, width and height), got {len(values)}: correct it"
-            )
+    with errors_named(path):
+        words = read_text(path).split()
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise InputError(f"{_EXPECTED}: {error}") from None
+        if values.shape != (26,) or not np.isfinite(values).all():
+            raise InputError(f"{_EXPECTED}, got {len(values)}: correct it")
         k, distortion, rotation, centre, size = np.split(values, [9, 12, 21, 24])
         if distortion.any():
             raise InputError(
@@ -38,10 +43,4 @@ def read_strecha(path: Path) -> Camera:
         world_from_cam = nearest_rotation(rotation.reshape(3, 3))
         intrinsics = Intrinsics(int(size[0]), int(size[1]), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
         pose = Similarity(world_from_cam.T, -world_from_cam.T @ centre)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"{path}: expected 26 numbers (K, distortion, R, C, width and height): {error}") from None
     return Camera(path.name.removesuffix(".camera"), intrinsics, pose)

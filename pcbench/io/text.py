@@ -11,7 +11,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.ascii_grid import is_ascii_grid, read_ascii_grid
-from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -24,6 +24,7 @@ from pcbench.io.names import (
     unnamed_columns,
 )
 from pcbench.io.text_layout import NUMBER, TableLayout, content, excerpt, find_layout
+from pcbench.scratch import atomic_write
 
 _ROWS_PER_WRITE = 1 << 16
 _MIN_ID_ROWS = 3  # for a column that counts by one

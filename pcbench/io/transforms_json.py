@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write, read_json
+from pcbench.io.files import errors_named
+from pcbench.regular_files import read_json
+from pcbench.scratch import atomic_write
 
 Size = tuple[int, int]
 
@@ -54,35 +56,30 @@ def read_transforms(
             frame.
     """
     warn = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
-    try:
+    with errors_named(path):
         document = read_json(path)
         if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
             raise InputError("expected a JSON object with a list of frames, got other JSON: export it again")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a transforms.json: {error}") from None
     names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]
     _check_duplicates(path, names, size_of)  # before poses are parsed: a file may repeat one frame many times
     cameras = []
     without_size = []
     for number, (name, frame) in enumerate(zip(names, document["frames"], strict=True)):
-        try:
+        with errors_named(f"{path}: frame {number} ({name})"):
             if not isinstance(name, str):
                 raise InputError("expected a file_path, got none: add the name of the image")
             values = {**document, **frame}
-            intrinsics = _intrinsics(values, size_of(name))
-            if intrinsics is None:
-                without_size.append(name)
-            else:
-                cameras.append(Camera(name, intrinsics, _pose(values.get("transform_matrix"))))
-        except InputError as error:
-            raise InputError(f"{path}: frame {number} ({name}): {error}") from None
-        except (ValueError, KeyError, TypeError, OverflowError) as error:
-            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-            raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
+            try:
+                intrinsics = _intrinsics(values, size_of(name))
+                if intrinsics is None:
+                    without_size.append(name)
+                else:
+                    cameras.append(Camera(name, intrinsics, _pose(values.get("transform_matrix"))))
+            except InputError:  # also a ValueError, but its message is complete
+                raise
+            except (ValueError, KeyError, TypeError, OverflowError) as error:
+                what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+                raise InputError(f"expected numbers: {what}") from None
     if not names:
         raise InputError(f"{path}: expected at least one frame, got none: export it again")
     if not cameras:

@@ -127,11 +127,11 @@ class Plugin:
         Raises:
             InputError: a setting is unknown, missing, of the wrong type, or rejected by the reconstructor.
         """
-        known = {f.name: f for f in fields(self.cls) if f.init}
-        if unknown := [name for name in settings if name not in known]:
-            names = ", ".join(known) or "none"
+        settable = {f.name: f for f in fields(self.cls) if f.init}
+        if unknown := [name for name in settings if name not in settable]:
+            names = ", ".join(settable) or "none"
             raise InputError(f"{self.name} has no setting {unknown[0]!r}: there are {names}")
-        if required := [n for n, f in known.items() if _default_text(f) is None and n not in settings]:
+        if required := [n for n, f in settable.items() if _default_text(f) is None and n not in settings]:
             raise InputError(f"{self.name} needs the setting {required[0]!r}: give --set {required[0]}=VALUE")
         hints = get_type_hints(self.cls)
         values = {name: _convert(name, text, hints[name]) for name, text in settings.items()}
@@ -154,19 +154,21 @@ def find_plugin(spec: str) -> Plugin:
     Raises:
         InputError: no reconstructor or several have that name, it cannot be imported, or it is not a reconstructor.
     """
-    left, colon, name = spec.rpartition(":")
-    if colon and left.endswith(".py"):
-        return _check_plugin(spec, str(Path(left)), _get_attribute(spec, _load_file(Path(left)), name))
+    module, colon, name = spec.rpartition(":")
+    if colon and module.endswith(".py"):
+        return _check_plugin(spec, str(Path(module)), _get_attribute(spec, _load_file(Path(module)), name))
     if colon:
-        return _check_plugin(spec, left, _get_attribute(spec, _import(spec, left), name))
-    found = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == spec]
-    if not found:
+        return _check_plugin(spec, module, _get_attribute(spec, _import(spec, module), name))
+    points = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == spec]
+    if not points:
         names = ", ".join(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)})) or "none"
         raise InputError(f"no reconstructor {spec!r} is installed: there are {names}; or give FILE.py:CLASS")
-    if len(found) > 1:
-        packages = " and ".join(sorted(_origin(point) for point in found))
+    if len(points) > 1:
+        packages = " and ".join(sorted(_origin(point) for point in points))
         raise InputError(f"two reconstructors are named {spec!r}, in {packages}: give MODULE:CLASS instead")
-    return _check_plugin(spec, _origin(found[0]), _get_attribute(spec, _import(spec, found[0].module), found[0].attr))
+    return _check_plugin(
+        spec, _origin(points[0]), _get_attribute(spec, _import(spec, points[0].module), points[0].attr)
+    )
 
 
 def installed_reconstructors() -> tuple[str, ...]:

@@ -39,8 +39,8 @@ def with_time_left(items: Sequence[T], what: str) -> Iterator[T]:
         took = time.monotonic() - start
         if took > 0.1:
             worked, slow = worked + took, slow + 1
-        left = f", {duration(worked / slow * (len(items) - k))} left" if slow and k < len(items) else ""
-        progress(f"{what}: {k} of {len(items)} images{left}")
+        time_left = f", {duration(worked / slow * (len(items) - k))} left" if slow and k < len(items) else ""
+        progress(f"{what}: {k} of {len(items)} images{time_left}")
 
 
 @contextmanager

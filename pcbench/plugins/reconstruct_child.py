@@ -16,11 +16,11 @@ from typing import Any
 from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.io.files import atomic_write
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
 from pcbench.plugins.code import register_plugin_code
 from pcbench.plugins.run import CAMERAS, CLOUD, JOB, OUTCOME, PLUGIN
 from pcbench.scenes import Scene, read_scene
+from pcbench.scratch import atomic_write
 from pcbench.systems import peak_memory_with_children
 
 

@@ -15,12 +15,12 @@ from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.io.contents import digest
-from pcbench.io.files import atomic_write, read_json
 from pcbench.native import _core
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import follow_log
 from pcbench.registration import SurveyResiduals
-from pcbench.scratch import lock_output, scratch_folder
+from pcbench.regular_files import read_json
+from pcbench.scratch import atomic_write, lock_output, scratch_folder
 from pcbench.systems import SIGKILL, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
@@ -304,5 +304,5 @@ def describe(plugin: str, time_limit_s: float = 60.0) -> Description:
 
 def absolute(plugin: str) -> str:
     """Return a spec with an absolute path, valid from any folder."""
-    left, colon, name = plugin.rpartition(":")
-    return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin
+    file, colon, name = plugin.rpartition(":")
+    return f"{Path(file).absolute()}:{name}" if colon and file.endswith(".py") else plugin

@@ -14,9 +14,8 @@ from typing import Any
 
 from pcbench.errors import ReconstructionError
 from pcbench.extras import installed_versions
-from pcbench.io.files import read_json
 from pcbench.plugins.code import code_digest
-from pcbench.regular_files import open_regular
+from pcbench.regular_files import open_regular, read_json
 from pcbench.scratch import attribute_errors_to
 
 _RECORD_FILE = "stage.json"
@@ -96,12 +95,12 @@ def _is_complete(folder: Path, inputs: Mapping[str, Any]) -> bool:
     """Return whether a stage was made from these inputs and its files are unchanged."""
     try:
         record = read_json(folder / _RECORD_FILE)
-        files = [(folder / name, size, known) for name, (size, known) in record["files"].items()]
+        files = [(folder / name, size, digest) for name, (size, digest) in record["files"].items()]
         # Compared as text, in which NaN equals itself. Sizes come first because they are cheap and show truncation.
         return (
             json.dumps(record["inputs"], sort_keys=True) == json.dumps(inputs, sort_keys=True)
             and all(path.stat().st_size == size for path, size, _ in files)
-            and all(_digest(path) == known for path, _, known in files)
+            and all(_digest(path) == digest for path, _, digest in files)
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # missing or damaged record
         return False

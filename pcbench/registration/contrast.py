@@ -140,8 +140,7 @@ def roughness(points: FloatArray) -> float:
     surface = Surface(Index(points))
     rows = np.arange(0, len(points), max(1, len(points) // _MAX_POSITIONS))
     subset, nearest = points[rows], nearest_elsewhere(surface.index, surface.sampling, rows).indices
-    plane_offsets = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
-    return robust_sigma(plane_offsets)
+    return robust_sigma(surface.plane_offsets(subset, nearest))
 
 
 def _displaced_points(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:

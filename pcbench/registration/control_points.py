@@ -102,10 +102,10 @@ def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
         InputError: there are fewer than three control points besides the check points, or all lie on one line.
     """
     is_check = np.zeros(len(pairs.candidate), bool) if pairs.is_check is None else pairs.is_check
-    if is_check.any() and (left := int((~is_check).sum())) < _MIN_CONTROL_POINTS:
+    if is_check.any() and (control_count := int((~is_check).sum())) < _MIN_CONTROL_POINTS:
         raise InputError(
-            f"expected at least {_MIN_CONTROL_POINTS} control points, got {left} beside {int(is_check.sum())} check"
-            " points: the pose is fitted to control points alone"
+            f"expected at least {_MIN_CONTROL_POINTS} control points, got {control_count} beside {int(is_check.sum())}"
+            " check points: the pose is fitted to control points alone"
         )
     T = fit_similarity(pairs.candidate[~is_check], pairs.reference[~is_check], with_scale=pairs.with_scale)
     differences = T.apply(pairs.candidate) - pairs.reference

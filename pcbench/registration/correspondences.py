@@ -56,11 +56,11 @@ def match_features(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
         if done.code:
             require("kiss_matcher")
             raise RegistrationError(f"KISS-Matcher failed: {done.last_error_line or f'exit code {done.code}'}")
-        with np.load(target) as found:
-            both = [
-                [found[f"{name}{k}"].astype(np.float64) for name in FeaturePairs._fields] for k in range(len(clouds))
+        with np.load(target) as archive:
+            matches = [
+                [archive[f"{name}{k}"].astype(np.float64) for name in FeaturePairs._fields] for k in range(len(clouds))
             ]
-    return [FeaturePairs(*two) for two in both]
+    return [FeaturePairs(*two) for two in matches]
 
 
 def likely_poses(pairs: FeaturePairs, count: int, *, with_scale: bool) -> list[Similarity]:

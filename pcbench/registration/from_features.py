@@ -319,14 +319,12 @@ class _PoseSearch:
         near = np.flatnonzero(nearest.distances < 2 * overlap_distance)
         if not len(near):
             return 0.0
-        offsets = moved - surface.points[nearest.indices]
-        plane_distances = np.einsum("ni,ni->n", offsets, surface.normals(nearest.indices))[near]
         pose_contrast = contrast(
             surface,
             moved,
             nearest,
             near,
-            sigma=robust_sigma(plane_distances),
+            sigma=robust_sigma(surface.plane_offsets(moved, nearest.indices)[near]),
             spacing=target.spacing,
             extent=target.extent,
             with_scale=self.icp.with_scale,

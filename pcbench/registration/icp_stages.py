@@ -113,8 +113,8 @@ def refine_coarsely(target: Target, points: FloatArray, settings: IcpSettings, i
     moved = Index(initial.apply(points))
     rigid = replace(settings, with_scale=False)  # outliers within a large distance shrink the candidate
     schedule = IcpProblem(target, moved, moved, moved.points, rigid).coarse_schedule(FAST_START)
-    found = _iterate(target.coarse, moved, Similarity.identity(), rigid, np.zeros((6, 0)), schedule, target.extent)
-    return found.T @ initial
+    fit = _iterate(target.coarse, moved, Similarity.identity(), rigid, np.zeros((6, 0)), schedule, target.extent)
+    return fit.T @ initial
 
 
 class IcpResult(NamedTuple):

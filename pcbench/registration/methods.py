@@ -83,10 +83,10 @@ def register(
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
     method = as_method(method)
-    given, moved = to_shape(reference), to_shape(candidate)
-    for name, shape in (("the reference", given), ("the candidate", moved)):
+    reference_shape, candidate_shape = to_shape(reference), to_shape(candidate)
+    for name, shape in (("the reference", reference_shape), ("the candidate", candidate_shape)):
         check_lengths(shape, name)
-    reference, candidate = sample_reference(given), sample_candidate(moved, given)
+    reference, candidate = sample_reference(reference_shape), sample_candidate(candidate_shape, reference_shape)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(
@@ -94,7 +94,7 @@ def register(
         )
     origin = local_origin(reference)
     if target is None:
-        target = Target.of(reference, origin, is_sampled=isinstance(given, Mesh))
+        target = Target.of(reference, origin, is_sampled=isinstance(reference_shape, Mesh))
     elif isinstance(target, Target):
         target.check_belongs_to(reference, origin)
     else:
@@ -135,9 +135,9 @@ def register(
         raise RegistrationError(f"{explanation}{error}") from error
 
     quality, scale, sampling = fit.quality, fit.T_local.scale, list[Notice]()
-    if isinstance(moved, Mesh):
+    if isinstance(candidate_shape, Mesh):
         spacing = None if target.is_sampled else target.surface.spacing
-        sampling = [sampling_notice(moved, len(candidate), 0, scale=scale, spacing=spacing)]
+        sampling = [sampling_notice(candidate_shape, len(candidate), 0, scale=scale, spacing=spacing)]
     steps = step_warnings(
         reference,
         candidate,

@@ -38,11 +38,11 @@ def mirrored_notice(axes: str) -> Notice:
     Args:
         axes: its reflection, one of `REFLECTIONS`.
     """
-    how = f"{axes} negated" if len(axes) == 1 else f"{axes[0]} and {axes[1]} exchanged"
+    change = f"{axes} negated" if len(axes) == 1 else f"{axes[0]} and {axes[1]} exchanged"
     return Notice(
         MIRRORED,
-        f"the candidate is mirrored: with {how} it fits the reference; undo the reflection (`pcbench convert CANDIDATE"
-        f" unmirrored.ply --mirror {axes}`) and compare the result",
+        f"the candidate is mirrored: with {change} it fits the reference; undo the reflection (`pcbench convert"
+        f" CANDIDATE unmirrored.ply --mirror {axes}`) and compare the result",
     )
 
 

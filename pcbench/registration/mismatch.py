@@ -58,8 +58,8 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    how = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Convert one of them"
-    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {how}{conversion}: "
+    remedy = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Convert one of them"
+    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {remedy}{conversion}: "
 
 
 def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float) -> tuple[Notice, ...]:
@@ -89,7 +89,7 @@ def _suspected_units(ratio: float) -> _UnitRatio | None:
     if not 0 < ratio < np.inf:
         return None
     log = abs(np.log(ratio))
-    return next((known for known in _UNIT_RATIOS if abs(log - np.log(known.factor)) < known.tolerance), None)
+    return next((pair for pair in _UNIT_RATIOS if abs(log - np.log(pair.factor)) < pair.tolerance), None)
 
 
 def _unit_key(unit: str) -> float | str:

@@ -140,7 +140,7 @@ def assess(
         with_scale=with_scale,
     )
     hovering = _hovering_share(weigh(target.surface, moved, nearest, matched.max_on_surface, robust=True), matched)
-    found = _warnings(matched, observation, pose_contrast, hovering)
+    warnings = _warnings(matched, observation, pose_contrast, hovering)
     return Quality(
         rmse=_weighted_rmse(on_surface, plane=plane),
         overlap=matched.overlap,
@@ -151,8 +151,8 @@ def assess(
         weakest_sigma=observation.weakest_sigma,
         unobservable=observation.unobservable,
         covariance=observation.covariance,
-        is_weak=observation.is_weak or any(notice.code == WEAKLY_OBSERVABLE for notice in found),
-        warnings=found,
+        is_weak=observation.is_weak or any(notice.code == WEAKLY_OBSERVABLE for notice in warnings),
+        warnings=warnings,
     )
 
 
@@ -273,7 +273,7 @@ def _contrast_at_noise(
     moved = T.apply(random_sample)
     nearest = surface.index.query(moved)
     max_near = max(NEAR_EXTENT_SHARE * target.extent, MAX_SPACINGS_ON_SURFACE * surface.spacing)
-    found = contrast(
+    sharpness = contrast(
         surface,
         moved,
         nearest,
@@ -283,7 +283,7 @@ def _contrast_at_noise(
         extent=target.extent,
         with_scale=with_scale,
     )
-    return -1.0 if found is None else found.share
+    return -1.0 if sharpness is None else sharpness.share
 
 
 def _with_notice(quality: Quality, notice: Notice) -> Quality:

@@ -99,7 +99,7 @@ class SurveyResiduals:
         return {
             "control_points": rows(self.control),
             "check_points": rows(self.check),
-            "point_rmse": {kind: None if found is None else found._asdict() for kind, found in rmse.items()},
+            "point_rmse": {kind: None if each is None else each._asdict() for kind, each in rmse.items()},
             "z_is_up": self.z_is_up,
         }
 
@@ -117,12 +117,12 @@ class SurveyResiduals:
         """Yield one line per kind of point with its root mean square errors for printing."""
         of_unit = f" {unit}" if unit else ""
         for kind, points in (("control", self.control), ("check", self.check)):
-            found = self.rmse(points)
-            if found is None:
+            rmse = self.rmse(points)
+            if rmse is None:
                 continue
-            parts = [f"3D {found.total:.4g}{of_unit}"]
-            if found.horizontal is not None and found.vertical is not None:
-                parts = [f"H {found.horizontal:.4g}{of_unit}", f"Z {found.vertical:.4g}{of_unit}", *parts]
-            yield f"{found.points} {kind} point{'s' if found.points > 1 else ''}: RMSE {', '.join(parts)}"
+            parts = [f"3D {rmse.total:.4g}{of_unit}"]
+            if rmse.horizontal is not None and rmse.vertical is not None:
+                parts = [f"H {rmse.horizontal:.4g}{of_unit}", f"Z {rmse.vertical:.4g}{of_unit}", *parts]
+            yield f"{rmse.points} {kind} point{'s' if rmse.points > 1 else ''}: RMSE {', '.join(parts)}"
         if self and not self.z_is_up:
             yield "no H and Z: z is not known to be up (state it by a line `# z is up` in the points file)"

@@ -57,11 +57,11 @@ def returned_share(
         rotation = rotation_from_vector(distance / radius * axis / np.linalg.norm(axis))
         start = Similarity(rotation, center - rotation @ center + distance * shift / np.linalg.norm(shift))
         try:
-            found = refine(target, moved, settings, start)
+            refined = refine(target, moved, settings, start)
         except RegistrationError:
             failed += 1
             continue
-        offsets = found.apply(moved) - moved
+        offsets = refined.apply(moved) - moved
         is_back = float(np.sqrt(np.square(offsets).sum(axis=1).mean())) <= tolerance
         returned, failed = returned + is_back, failed + (not is_back)
     return returned / (returned + failed)

@@ -49,7 +49,7 @@ class Target:
             is_sampled: whether it was sampled.
         """
         origin = local_origin(reference) if origin is None else origin
-        surface = Surface(Index(reference.points - origin), given=reference.normals, is_even=False)
+        surface = Surface(Index(reference.points - origin), normals=reference.normals, is_even=False)
         target = cls(surface, is_sampled=is_sampled)
         target._checked_reference = reference
         return target

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.io.files import read_json
+from pcbench.regular_files import read_json
 
 FORMATS = ("png", "svg", "pdf")
 WINDOW_SIZE = (1200, 800)  # of views in three dimensions, in pixels

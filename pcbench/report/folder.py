@@ -17,10 +17,11 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
-from pcbench.io.files import input_files, read_json
 from pcbench.io.json_values import to_json
+from pcbench.io.paths import input_files
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
+from pcbench.regular_files import read_json
 from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import deformation_values, document
 from pcbench.report.figures import Figures

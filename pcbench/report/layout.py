@@ -21,7 +21,7 @@ class Label(NamedTuple):
 
     Attributes:
         text: the label; `{0}` stands for the quantity, `{title}` for the title of a map.
-        level: 0 for a separate metric, 1 for a detail of the line above.
+        level: 0 for a separate line, 1 for a detail of the line above.
     """
 
     text: str

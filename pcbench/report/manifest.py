@@ -15,7 +15,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, read_json_object
+from pcbench.regular_files import read_json_object
+from pcbench.scratch import atomic_write
 
 MANIFEST = "manifest.json"
 SCHEMA = "pcbench.manifest/1"

@@ -18,11 +18,11 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json
 from pcbench.io.source import Source
 from pcbench.measure.budget import D2Budget
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, DirectedBudget
+from pcbench.regular_files import read_json
 from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras

@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.upright import find_up, rotation_to_z
-from pcbench.io.files import read_json
+from pcbench.regular_files import read_json
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene

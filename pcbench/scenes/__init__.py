@@ -1,6 +1,6 @@
 """Scenes: photographs with their cameras, read from folders or created synthetically."""
 
-from pcbench.scenes.read import read_scene
+from pcbench.scenes.from_folder import read_scene
 from pcbench.scenes.scene import Scene
 from pcbench.scenes.write import write_cameras
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_folders import find_model
-from pcbench.io.files import Warn, read_json
+from pcbench.io.files import Warn
 from pcbench.io.image_header import EXTENSIONS
-from pcbench.regular_files import has_entry, read_bytes
+from pcbench.regular_files import has_entry, read_bytes, read_json
 
 # In order of search: COLMAP and nerfstudio; NeRF's synthetic scenes; RGB-D data sets; Earth Studio.
 _IMAGE_FOLDERS = ("images", "train", "rgb", "footage")
@@ -41,8 +41,8 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
     """
     # Only a folder of images is searched recursively: a scene's folder also contains masks, depth maps and results.
     folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGE_FOLDERS if (path / name).is_dir()]
-    for folder, found in [*folders, (path, list(path.iterdir()))]:
-        files = [p.relative_to(folder) for p in found if not p.is_dir()]
+    for folder, entries in [*folders, (path, list(path.iterdir()))]:
+        files = [p.relative_to(folder) for p in entries if not p.is_dir()]
         visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
         unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNSUPPORTED_EXTENSIONS)
         if unread:

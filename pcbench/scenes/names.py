@@ -27,8 +27,8 @@ class ImageNames:
         path = camera.replace("\\", "/")
         for end in _trailing_paths(path):
             for key in (end, _without_extension(end)):
-                if found := self._images.get(key):
-                    return found
+                if image := self._images.get(key):
+                    return image
         return None
 
 

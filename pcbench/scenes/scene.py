@@ -238,8 +238,10 @@ class Scene:
         if self.points is not None:
             lines.append(f"  sparse points {len(self.points):,}")
         if self.origin is not None:
-            at = self.origin
-            lines.append(f"  east-north-up about {at.latitude_deg:.7f}, {at.longitude_deg:.7f}, {at.altitude:.1f} m")
+            origin = self.origin
+            lines.append(
+                f"  east-north-up about {origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.1f} m"
+            )
             if not self.on_sphere:
                 lines.append("  metres of WGS84")
         return lines

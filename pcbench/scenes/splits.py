@@ -40,20 +40,20 @@ class Split:
         return tuple(name for block in self.blocks for name in block)
 
 
-def hold_out(names: Sequence[str], how: HoldOut, positions: Mapping[str, FloatArray] | None = None) -> Split:
+def hold_out(names: Sequence[str], setting: HoldOut, positions: Mapping[str, FloatArray] | None = None) -> Split:
     """Split images by a hold-out setting.
 
     Args:
         names: image names in the scene's order.
-        how: hold-out setting.
+        setting: hold-out setting.
         positions: camera positions (3,) by name; see `capture_order`.
 
     Raises:
         InputError: there are too few images.
     """
-    if how == "none":
+    if setting == "none":
         return Split(tuple(names), (), "no image")
-    return split_every(names) if how == "every" else split_blocks(names, positions=positions)
+    return split_every(names) if setting == "every" else split_blocks(names, positions=positions)
 
 
 def split_every(names: Sequence[str], n: int = 8) -> Split:

@@ -40,12 +40,13 @@ def camera_of_stored(camera: Camera, size: Size, orientation: int, source: Path)
     Raises:
         InputError: the camera fits neither, or a reflection. The message does not name the photograph.
     """
-    given = camera.intrinsics.width, camera.intrinsics.height
-    fits_stored, fits_turned = _same_aspect(given, size), _same_aspect(given, (size[1], size[0]))
+    camera_size = camera.intrinsics.width, camera.intrinsics.height
+    fits_stored, fits_turned = _same_aspect(camera_size, size), _same_aspect(camera_size, (size[1], size[0]))
     if fits_stored:
         return StoredCamera(camera, is_ambiguous=orientation in (2, 3, 4) or (orientation > 4 and fits_turned))
     expected = (
-        f"expected an image of {given[0]} x {given[1]} pixels as its camera in {source}, got {size[0]} x {size[1]}"
+        f"expected an image of {camera_size[0]} x {camera_size[1]} pixels as its camera in {source}, got"
+        f" {size[0]} x {size[1]}"
     )
     if not fits_turned:
         raise InputError(f"{expected}: use the images of these cameras")

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError, describe_damage
 from pcbench.extras import require
-from pcbench.io.files import atomic_write, read_json
 from pcbench.io.image_header import read_image_header
+from pcbench.regular_files import read_json
 from pcbench.scenes.decode import decode_image, decode_mask
 from pcbench.scenes.splits import Split
+from pcbench.scratch import atomic_write
 
 SCHEMA = "pcbench.views/1"
 DOCUMENT = "views.json"

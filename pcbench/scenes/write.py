@@ -10,7 +10,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_model import MODEL_FILES, check_model_output, write_colmap_model
-from pcbench.io.files import check_output
+from pcbench.io.outputs import check_output
 from pcbench.io.transforms_json import write_transforms
 
 

@@ -46,8 +46,8 @@ class WorkerLost(Exception):
         times: how many workers the task ended.
     """
 
-    def __init__(self, how: str, *, killed: bool, times: int = 1) -> None:
-        super().__init__(how)
+    def __init__(self, ending: str, *, killed: bool, times: int = 1) -> None:
+        super().__init__(ending)
         self.killed, self.times = killed, times
 
 

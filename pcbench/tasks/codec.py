@@ -127,15 +127,15 @@ def types_in(hint: Any) -> dict[str, type]:
     Args:
         hint: a type as in annotations, with all that its fields are annotated with.
     """
-    found: dict[str, type] = {}
+    types: dict[str, type] = {}
     pending = [hint]
     while pending:
         part = pending.pop()
         pending += get_args(part)
-        if isinstance(part, type) and _fields_of(part) is not None and _name_of(part) not in found:
-            found[_name_of(part)] = part
+        if isinstance(part, type) and _fields_of(part) is not None and _name_of(part) not in types:
+            types[_name_of(part)] = part
             pending += get_type_hints(part).values()
-    return found
+    return types
 
 
 def result_type(function: Callable[..., Any]) -> Any:

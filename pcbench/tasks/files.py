@@ -35,10 +35,10 @@ _written: ContextVar[list[TaskFile] | None] = ContextVar("_written", default=Non
 @contextmanager
 def files_written() -> Iterator[list[TaskFile]]:
     """Yield the list to which `task_file` and `record_file` add the files that are written in this block."""
-    found: list[TaskFile] = []
-    token = _written.set(found)
+    files: list[TaskFile] = []
+    token = _written.set(files)
     try:
-        yield found
+        yield files
     finally:
         _written.reset(token)
 
@@ -79,6 +79,6 @@ class HashingFile:
 
 
 def _record(file: TaskFile) -> None:
-    found = _written.get()
-    if found is not None:
-        found.append(file)
+    files = _written.get()
+    if files is not None:
+        files.append(file)

@@ -127,5 +127,5 @@ class _WorkerProcess:
         self._errors.seek(max(0, size - _MAX_ERROR_BYTES))
         error = last_line(self._errors.read().decode(errors="replace"))
         self._errors.close()
-        how = signal_name(-code) if code < 0 else f"exit code {code}"
-        return WorkerLost(f"{how}: {error}" if error else how, killed=code == -SIGKILL)
+        ending = signal_name(-code) if code < 0 else f"exit code {code}"
+        return WorkerLost(f"{ending}: {error}" if error else ending, killed=code == -SIGKILL)

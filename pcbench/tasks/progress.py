@@ -53,11 +53,11 @@ class StageProgress:
             self._report_step(Step(text))
             return
         speed = self._finished / seconds
-        left = (self._missing - self._finished) / speed
+        seconds_left = (self._missing - self._finished) / speed
         # The next step is expected after the interval, so that the estimate of all steps is the time left.
-        next_s = min(left, _INTERVAL_S)
+        next_s = min(seconds_left, _INTERVAL_S)
         text = f"{text}, {_number(speed / factor)} {prefix}{self._unit}/s"
-        self._report_step(Step(text, next_s, left - next_s))
+        self._report_step(Step(text, next_s, seconds_left - next_s))
 
 
 def _number(value: float) -> str:

@@ -183,13 +183,13 @@ def _read_content(file: BinaryIO) -> _Content:
 
 
 def _is_intact(file: BinaryIO, key: str) -> bool:
-    left = os.fstat(file.fileno()).st_size - 32
+    bytes_left = os.fstat(file.fileno()).st_size - 32
     header = file.read(_HEADER_BYTES)
-    if left < _HEADER_BYTES or header != _header(key):
+    if bytes_left < _HEADER_BYTES or header != _header(key):
         return False
     sha256 = hashlib.sha256(header)
-    left -= len(header)
-    while left and (block := file.read(min(left, _BLOCK_BYTES))):
+    bytes_left -= len(header)
+    while bytes_left and (block := file.read(min(bytes_left, _BLOCK_BYTES))):
         sha256.update(block)
-        left -= len(block)
-    return left == 0 and file.read() == sha256.digest()
+        bytes_left -= len(block)
+    return bytes_left == 0 and file.read() == sha256.digest()

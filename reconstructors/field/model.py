@@ -148,15 +148,15 @@ class VoxelField:
         index = np.stack(np.unravel_index(self.vertices, self.links.shape), axis=1)
         stored = np.zeros(shape, dtype=np.bool_)
         for step in np.ndindex(3, 3, 3):
-            at = np.clip(2 * index + np.array(step) - 1, 0, np.array(shape) - 1)
-            stored[at[:, 0], at[:, 1], at[:, 2]] = True
+            places = np.clip(2 * index + np.array(step) - 1, 0, np.array(shape) - 1)
+            stored[places[:, 0], places[:, 1], places[:, 2]] = True
         vertices = np.flatnonzero(stored).astype(np.int32)
         values = aligned_rows(len(vertices))
         for start in range(0, len(vertices), _CHUNK_ROWS):
             part = slice(start, start + _CHUNK_ROWS)
-            at = np.stack(np.unravel_index(vertices[part], shape), axis=1)
+            places = np.stack(np.unravel_index(vertices[part], shape), axis=1)
             for corner in _CORNERS:  # at even positions both corners are the same vertex
-                rows = self.links[tuple((at // 2 + corner * (at % 2)).T)]
+                rows = self.links[tuple((places // 2 + corner * (places % 2)).T)]
                 values[part] += np.where(rows[:, None] < 0, 0, self.values[rows]) / np.float32(8)
         values[:, 0] /= 2
         return VoxelField.sparse(self.origin, self.voxel / 2, shape, vertices, values, self.background)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import ReconstructionError
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from reconstructors.field.model import CHANNELS, STEP, RayBatch, VoxelField, aligned_rows, view_rays
 from reconstructors.field.native import _field
 from reconstructors.splat.photographs import Photograph, Pyramid

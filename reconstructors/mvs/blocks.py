@@ -179,10 +179,10 @@ def _own_depths(images: Mapping[str, FilteredImage], cell: SpaceCell, folder: Pa
     own = {}
     for number, (name, image) in enumerate(images.items()):
         depth = read_depth(image.map)
-        known = depth > 0
-        is_own = known.copy()
-        is_own[known] = cell.contains(_points(image.camera, depth, known))
-        if (is_own != known).any():
+        has_depth = depth > 0
+        is_own = has_depth.copy()
+        is_own[has_depth] = cell.contains(_points(image.camera, depth, has_depth))
+        if (is_own != has_depth).any():
             masked = folder / f"{number:06d}"
             masked.mkdir(parents=True)
             write_raster(masked / DEPTH, np.where(is_own, depth, np.float32(0)))

@@ -42,10 +42,10 @@ class SpaceCell:
         """Return the cell with a margin on all sides."""
         return SpaceCell(self.lower - margin, self.upper + margin)
 
-    def split(self, axis: int, at: float) -> tuple[SpaceCell, SpaceCell]:
+    def split(self, axis: int, border: float) -> tuple[SpaceCell, SpaceCell]:
         """Return the parts below a coordinate, and from it on."""
         upper, lower = self.upper.copy(), self.lower.copy()
-        upper[axis] = lower[axis] = at
+        upper[axis] = lower[axis] = border
         return replace(self, upper=upper), replace(self, lower=lower)
 
 
@@ -82,7 +82,7 @@ def _split(cell: SpaceCell, points: FloatArray, rows: IntArray, fits: Callable[[
     higher = coordinates[coordinates > coordinates[0]]
     if not len(higher):
         return [cell]
-    at = max(float(coordinates[len(coordinates) // 2]), float(higher[0]))  # neither part is empty
-    is_lower = part[:, axis] < at
-    lower, upper = cell.split(axis, at)
+    border = max(float(coordinates[len(coordinates) // 2]), float(higher[0]))  # neither part is empty
+    is_lower = part[:, axis] < border
+    lower, upper = cell.split(axis, border)
     return _split(lower, points, rows[is_lower], fits) + _split(upper, points, rows[~is_lower], fits)

@@ -81,10 +81,10 @@ def filter_map(
     for k, (other, map_) in enumerate(sources):
         rows, columns = np.nonzero(candidates)
         for start in range(0, len(rows), _BLOCK_PIXELS):
-            at = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
-            confirmation = confirm(camera, depth_map, at, other, map_, criteria)
-            agree[k, at[0][confirmation.indices], at[1][confirmation.indices]] = True
-            seen_through[at[0][confirmation.seen_through], at[1][confirmation.seen_through]] += 1
+            pixels = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
+            confirmation = confirm(camera, depth_map, pixels, other, map_, criteria)
+            agree[k, pixels[0][confirmation.indices], pixels[1][confirmation.indices]] = True
+            seen_through[pixels[0][confirmation.seen_through], pixels[1][confirmation.seen_through]] += 1
     confirmations = agree.sum(axis=0)
     kept = candidates & (1 + confirmations >= criteria.views) & (confirmations > seen_through)
     return FilteredMap(depth_map.where(kept), agree & kept)
@@ -129,7 +129,7 @@ class Confirmation(NamedTuple):
 def confirm(
     camera: Camera,
     depth_map: DepthMap,
-    at: tuple[NDArray[np.int64], NDArray[np.int64]],
+    pixels: tuple[NDArray[np.int64], NDArray[np.int64]],
     other: Camera,
     other_map: DepthMap,
     criteria: Criteria,
@@ -141,34 +141,34 @@ def confirm(
     Args:
         camera: pinhole of the map.
         depth_map: the map.
-        at: rows and columns of the queried pixels, (N,) each.
+        pixels: rows and columns of the queried pixels, (N,) each.
         other: pinhole of the other map.
         other_map: the other map.
         criteria: criteria for agreement.
     """
     height, width = other_map.depth.shape
-    v, u = (index.astype(np.float64) + 0.5 for index in at)
-    x, y, z = _Warp.between(camera, other).apply(u, v, depth_map.depth[at].astype(np.float64))
-    left = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
-    row, column = y[left].astype(np.int64), x[left].astype(np.int64)
+    v, u = (index.astype(np.float64) + 0.5 for index in pixels)
+    x, y, z = _Warp.between(camera, other).apply(u, v, depth_map.depth[pixels].astype(np.float64))
+    indices = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
+    row, column = y[indices].astype(np.int64), x[indices].astype(np.int64)
     usable = (other_map.depth[row, column] > 0) & (other_map.confidence[row, column] >= criteria.confidence)
-    left, row, column = left[usable], row[usable], column[usable]
+    indices, row, column = indices[usable], row[usable], column[usable]
 
-    depths = depths_on_planes(other, other_map, row, column, x[left], y[left])
-    beyond = depths - z[left]
-    is_seen_through = beyond > criteria.depth * z[left]
+    depths = depths_on_planes(other, other_map, row, column, x[indices], y[indices])
+    beyond = depths - z[indices]
+    is_seen_through = beyond > criteria.depth * z[indices]
     is_seen_through &= other_map.confidence[row, column] >= _MIN_SEEING_CONFIDENCE
-    seen_through = left[is_seen_through]
-    close = np.abs(beyond) <= criteria.depth * z[left]
-    left, row, column, depths = left[close], row[close], column[close], depths[close]
+    seen_through = indices[is_seen_through]
+    close = np.abs(beyond) <= criteria.depth * z[indices]
+    indices, row, column, depths = indices[close], row[close], column[close], depths[close]
 
-    back_u, back_v, back_z = _Warp.between(other, camera).apply(x[left], y[left], depths)
-    close = (back_z > 0) & (np.hypot(back_u - u[left], back_v - v[left]) <= criteria.pixels)
+    back_u, back_v, back_z = _Warp.between(other, camera).apply(x[indices], y[indices], depths)
+    close = (back_z > 0) & (np.hypot(back_u - u[indices], back_v - v[indices]) <= criteria.pixels)
     turn = camera.cam_from_world.rotation @ other.cam_from_world.rotation.T
-    normals = depth_map.normal[at[0][left], at[1][left]]
+    normals = depth_map.normal[pixels[0][indices], pixels[1][indices]]
     other_normals = other_map.normal[row, column] @ turn.T.astype(np.float32)
     close &= np.einsum("ni,ni->n", normals, other_normals) >= np.cos(np.radians(criteria.normal_deg))
-    return Confirmation(left[close], back_z[close], seen_through)
+    return Confirmation(indices[close], back_z[close], seen_through)
 
 
 def depths_on_planes(

@@ -33,11 +33,11 @@ def remove_halos(filtered: FilteredMap, gray: NDArray[np.uint8]) -> FilteredMap:
     return FilteredMap(filtered.depth_map.where(~halo), filtered.agreement & ~halo)
 
 
-def find_halos(known: NDArray[np.bool_], gray: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def find_halos(has_depth: NDArray[np.bool_], gray: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of the plain regions of which less than a quarter is known, and of their edges.
 
     Args:
-        known: (H, W), True for pixels with a depth.
+        has_depth: (H, W), True for pixels with a depth.
         gray: the photograph (H, W).
     """
     from scipy.ndimage import binary_dilation, label
@@ -45,7 +45,7 @@ def find_halos(known: NDArray[np.bool_], gray: NDArray[np.uint8]) -> NDArray[np.
     max_variance = max(1.0, _MAX_PLAIN_TO_NOISE * noise_variance(gray))
     regions, count = label(window_variances(gray, _WINDOW_PX) <= max_variance)
     sizes = np.bincount(regions.ravel(), minlength=count + 1)
-    known_sizes = np.bincount(regions[known], minlength=count + 1)
+    known_sizes = np.bincount(regions[has_depth], minlength=count + 1)
     is_unknown = (sizes >= _MIN_REGION_PX) & (known_sizes < _MIN_KNOWN_SHARE * sizes)
     is_unknown[0] = False  # the textured pixels
     # Windows on the edge contain its contrast. The halo reaches half a window farther.

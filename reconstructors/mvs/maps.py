@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError, reason_of
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 
 DEPTH, NORMAL, CONFIDENCE = "depth.bin", "normal.bin", "confidence.bin"
 

@@ -189,15 +189,15 @@ class DenseMvs:
         """
         import pycolmap
 
-        given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
-        progress("sparse points" if given else "cameras and sparse points")
+        keeps_cameras = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
+        progress("sparse points" if keeps_cameras else "cameras and sparse points")
         (workspace / _SFM).mkdir(exist_ok=True)
         # Only the model of this result is used: the minimum number of images per point is applied later.
-        sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
+        sfm = ColmapSfm(poses=self.poses, upsample=not keeps_cameras, min_views=2, seed=self.seed)
         try:
             solved = sfm.reconstruct(scene, workspace / _SFM)
         except NoPointsError as error:
-            if not given:
+            if not keeps_cameras:
                 raise
             readable, notes = drop_unreadable(scene.select(scene.cameras), workspace / _SFM)
             notes.append(f"warning: no sparse points, so the given cameras cannot be checked: {error}")

@@ -192,8 +192,9 @@ def noise_variance(gray: NDArray[np.uint8]) -> float:
         return 0.0
     values = gray.astype(np.int16)
     down = values[:-2] - 2 * values[1:-1] + values[2:]
-    left = np.abs(down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:])[: rows * _NOISE_BLOCK_PX, : columns * _NOISE_BLOCK_PX]
-    blocks = left.reshape(rows, _NOISE_BLOCK_PX, columns, _NOISE_BLOCK_PX).mean(axis=(1, 3))
+    curvature = np.abs(down[:, :-2] - 2 * down[:, 1:-1] + down[:, 2:])
+    whole_blocks = curvature[: rows * _NOISE_BLOCK_PX, : columns * _NOISE_BLOCK_PX]
+    blocks = whole_blocks.reshape(rows, _NOISE_BLOCK_PX, columns, _NOISE_BLOCK_PX).mean(axis=(1, 3))
     return float(0.5 * np.pi * (np.percentile(blocks, 5) / 6) ** 2)
 
 
@@ -239,7 +240,7 @@ def _pixels_per_depth(one: Camera, other: Camera, depth_range: tuple[float, floa
     projection = projection_between(one, other).astype(np.float64)
     centre = np.array([one.intrinsics.cx, one.intrinsics.cy, 1.0])
     inverse = 0.5 * (1 / depth_range[0] + 1 / depth_range[1])
-    at = projection[:, :3] @ centre + projection[:, 3] * inverse
-    x, y = at[:2] / at[2]
-    moved = (projection[:2, 3] - np.array([x, y]) * projection[2, 3]) / at[2]
+    homogeneous = projection[:, :3] @ centre + projection[:, 3] * inverse
+    x, y = homogeneous[:2] / homogeneous[2]
+    moved = (projection[:2, 3] - np.array([x, y]) * projection[2, 3]) / homogeneous[2]
     return max(float(np.hypot(*moved)), 1e-9)

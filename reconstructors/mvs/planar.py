@@ -63,9 +63,11 @@ def fill_plain_surface(reference: GrayView, sources: Sequence[GrayView], depth_m
     for source in sources:
         similar += _has_gray(source, means, reference, row, column, depth)
     kept = similar >= _MIN_SIMILAR_SOURCES
-    at, triangle = (row[kept], column[kept]), triangle[kept]
+    pixels, triangle = (row[kept], column[kept]), triangle[kept]
     depths, normals, confidence = depth_map.depth.copy(), depth_map.normal.copy(), depth_map.confidence.copy()
-    depths[at], normals[at], confidence[at] = depth[kept], triangles.normals[triangle], triangles.confidence[triangle]
+    depths[pixels] = depth[kept]
+    normals[pixels] = triangles.normals[triangle]
+    confidence[pixels] = triangles.confidence[triangle]
     return DepthMap(depths, normals, confidence)
 
 
@@ -137,9 +139,9 @@ def _has_gray(
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = np.round(x / z), np.round(y / z)
     seen: NDArray[np.bool_] = (z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    at = (v[seen].astype(np.int64), u[seen].astype(np.int64))
-    similar = np.abs(_local_means(source.gray)[at] - means[seen]) < _MAX_GRAY_DIFFERENCE
-    seen[seen] = similar if source.valid is None else similar & source.valid[at]
+    pixels = (v[seen].astype(np.int64), u[seen].astype(np.int64))
+    similar = np.abs(_local_means(source.gray)[pixels] - means[seen]) < _MAX_GRAY_DIFFERENCE
+    seen[seen] = similar if source.valid is None else similar & source.valid[pixels]
     return seen
 
 

@@ -171,12 +171,12 @@ def undistort(scene: Scene, camera: Camera, target: Intrinsics) -> Undistorted:
     alpha = decode_alpha(scene.folder / name, size) if name in scene.with_alpha else None
     if source.is_pinhole:
         return Undistorted(image, mask, alpha)
-    at = _distorted_coordinates(source, target)
-    inside: NDArray[np.bool_] = np.asarray((at >= 0).all(axis=2) & (at < size).all(axis=2))
-    resampled = _resample(image, at)
-    resampled_alpha = None if alpha is None else _resample(alpha[..., None], at)[..., 0]
+    coordinates = _distorted_coordinates(source, target)
+    inside: NDArray[np.bool_] = np.asarray((coordinates >= 0).all(axis=2) & (coordinates < size).all(axis=2))
+    resampled = _resample(image, coordinates)
+    resampled_alpha = None if alpha is None else _resample(alpha[..., None], coordinates)[..., 0]
     if mask is not None:
-        column, row = np.floor(np.where(inside[..., None], at, 0)).astype(np.int64).transpose(2, 0, 1)
+        column, row = np.floor(np.where(inside[..., None], coordinates, 0)).astype(np.int64).transpose(2, 0, 1)
         inside &= mask[row, column]
     return Undistorted(resampled, None if inside.all() else inside, resampled_alpha)
 
@@ -189,11 +189,11 @@ def _distorted_coordinates(source: Intrinsics, target: Intrinsics) -> FloatArray
     return pixels.reshape(target.height, target.width, 2)
 
 
-def _resample(image: NDArray[np.uint8], at: FloatArray) -> NDArray[np.uint8]:
+def _resample(image: NDArray[np.uint8], coordinates: FloatArray) -> NDArray[np.uint8]:
     """Interpolate an image (H, W, C) at coordinates (h, w, 2); beyond its border the border pixels repeat."""
     from scipy.ndimage import map_coordinates
 
-    rows_columns = [at[..., 1] - 0.5, at[..., 0] - 0.5]
+    rows_columns = [coordinates[..., 1] - 0.5, coordinates[..., 0] - 0.5]
     channels = [
         map_coordinates(image[..., c].astype(np.float32), rows_columns, order=3, mode="nearest")
         for c in range(image.shape[2])

@@ -112,13 +112,13 @@ def check_cameras(database_file: Path, cameras: Mapping[str, Camera]) -> Agreeme
     Raises:
         ReconstructionError: So few matches agree that the cameras must belong to other images.
     """
-    found = epipolar_agreement(database_file, cameras)
-    if found.share < _MIN_AGREEING_SHARE:
+    agreement = epipolar_agreement(database_file, cameras)
+    if agreement.share < _MIN_AGREEING_SHARE:
         raise ReconstructionError(
-            f"the given cameras do not fit the images: {found.share:.1%} of the verified matches agree with them;"
+            f"the given cameras do not fit the images: {agreement.share:.1%} of the verified matches agree with them;"
             " check them (pcbench scene SCENE --figure cameras.png), or solve for cameras (--set poses=solve)"
         )
-    return found
+    return agreement
 
 
 def epipolar_agreement(database_file: Path, cameras: Mapping[str, Camera]) -> Agreement:
@@ -154,20 +154,21 @@ def epipolar_agreement(database_file: Path, cameras: Mapping[str, Camera]) -> Ag
     return Agreement(tuple(pairs))
 
 
-def ambiguity_warning(found: Agreement, cameras: str) -> list[str]:
+def ambiguity_warning(agreement: Agreement, cameras: str) -> list[str]:
     """Return a warning if several strong pairs contradict the cameras (`cameras` names their kind), with the graph."""
-    if found.is_sound:
+    if agreement.is_sound:
         return []
     return [
-        f"warning: {len(found.contradicting_pairs)} of {len(found.strong_pairs)} pairs of at least {MIN_STRONG_MATCHES}"
-        f" matches contradict the {cameras} cameras: places that look alike were confused, by these pairs or by the"
-        f" cameras, which may be far off: {found.describe_graph()} (all pairs: pairs.csv in the workspace)"
+        f"warning: {len(agreement.contradicting_pairs)} of {len(agreement.strong_pairs)} pairs of at least"
+        f" {MIN_STRONG_MATCHES} matches contradict the {cameras} cameras: places that look alike were confused, by"
+        f" these pairs or by the cameras, which may be far off: {agreement.describe_graph()} (all pairs: pairs.csv in"
+        " the workspace)"
     ]
 
 
-def write_pairs(path: Path, found: Agreement) -> None:
+def write_pairs(path: Path, agreement: Agreement) -> None:
     """Write all pairs as CSV: the two images, the number of verified matches, and the share that agrees."""
-    lines = [f'"{pair.a}","{pair.b}",{pair.matches},{pair.share:.3f}\n' for pair in found.pairs]
+    lines = [f'"{pair.a}","{pair.b}",{pair.matches},{pair.share:.3f}\n' for pair in agreement.pairs]
     path.write_text("image_a,image_b,matches,share_that_agrees\n" + "".join(lines), encoding="utf-8")
 
 

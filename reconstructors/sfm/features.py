@@ -90,12 +90,14 @@ def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsamp
 
 def shared_intrinsics(scene: Scene) -> list[LensGroup]:
     """Group the images by their intrinsics, or by their size if these are unknown."""
-    found: dict[Any, list[str]] = {}
+    names_by_lens: dict[Any, list[str]] = {}
     for name in scene.images:
         camera = scene.cameras.get(name)
         known_intrinsics = camera.intrinsics if camera else scene.intrinsics.get(name)
-        found.setdefault(known_intrinsics or scene.size(name), []).append(name)
-    return [LensGroup(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
+        names_by_lens.setdefault(known_intrinsics or scene.size(name), []).append(name)
+    return [
+        LensGroup(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in names_by_lens.items()
+    ]
 
 
 def working_images(scene: Scene, workspace: Path) -> Path:

@@ -97,8 +97,8 @@ def verify_matches(matches: Path, scene: Scene, workspace: Path, seed: int) -> P
         options.ransac.random_seed = seed
         pycolmap.geometric_verification(folder / DATABASE, two_view_geometry_options=options)
 
-    known = repr([tuple(group) for group in groups])
-    return stage(workspace, "verified", {"matches": stage_key(matches), "lenses": known, "seed": seed}, make)
+    lenses = repr([tuple(group) for group in groups])
+    return stage(workspace, "verified", {"matches": stage_key(matches), "lenses": lenses, "seed": seed}, make)
 
 
 def check_verified(verified: Path, counts: Mapping[str, int]) -> None:
@@ -149,10 +149,10 @@ def _set_intrinsics(database_file: Path, groups: Sequence[LensGroup]) -> None:
     """Set the known intrinsics of the images in a database."""
     import pycolmap
 
-    known = {name: intrinsics for intrinsics, names in groups for name in names}
+    intrinsics_by_name = {name: intrinsics for intrinsics, names in groups for name in names}
     database = pycolmap.Database.open(database_file)
     for number, name in sorted({image.camera_id: image.name for image in database.read_all_images()}.items()):
-        if (k := known[name]) is not None:
+        if (k := intrinsics_by_name[name]) is not None:
             # Do not solve for more parameters than the given model has: square pixels stay square.
             radial = k.fx == k.fy and not any(k.distortion[2:])
             model, image_ids = "OPENCV", [k.fx, k.fy, k.cx, k.cy, *k.distortion]

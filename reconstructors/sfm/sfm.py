@@ -103,9 +103,9 @@ class ColmapSfm:
 
         pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
         survey = read_control(self.control) if self.control is not None else ControlSurvey()
-        given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
+        keeps_cameras = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         unknown_marks = check_names(survey, scene.images)
-        scene, notes = _usable_images(scene, given, survey)
+        scene, notes = _usable_images(scene, keeps_cameras, survey)
         notes += unknown_marks
         scene, unreadable = drop_unreadable(scene, workspace)
         notes += unreadable
@@ -125,7 +125,7 @@ class ColmapSfm:
         verified = verify_matches(matches, scene, workspace, self.seed)
         check_verified(verified, counts)
 
-        if given:
+        if keeps_cameras:
             aligned = self._triangulate_given(verified, scene, workspace, survey)
         else:
             aligned = self._solve_cameras(verified, scene, workspace, survey)
@@ -175,22 +175,22 @@ class ColmapSfm:
         )
 
 
-def _usable_images(scene: Scene, given: bool, survey: ControlSurvey) -> tuple[Scene, list[str]]:
+def _usable_images(scene: Scene, keeps_cameras: bool, survey: ControlSurvey) -> tuple[Scene, list[str]]:
     """Select the images that can be used, with a note on the others.
 
     Args:
         scene: Images with known cameras, if any.
-        given: Whether to use the given cameras.
+        keeps_cameras: Whether to use the given cameras.
         survey: Control and check points.
 
     Raises:
-        InputError: Fewer than two images can be used, or `given` is requested without cameras or with control points:
-            given cameras can only be evaluated by check points.
+        InputError: Fewer than two images can be used, or `keeps_cameras` is set without cameras or with control
+            points: given cameras can only be evaluated by check points.
     """
-    if given and survey.control:
+    if keeps_cameras and survey.control:
         raise InputError("control points need solved cameras, but the scene gives them: use poses=solve")
     notes = []
-    if given:
+    if keeps_cameras:
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
         if without_camera := [name for name in scene.images if name not in scene.cameras]:

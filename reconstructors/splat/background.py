@@ -113,7 +113,7 @@ def dominant_border_color(photographs: Iterable[Photograph]) -> tuple[FloatArray
     Both are medians over the photographs. Masked pixels do not count; if all are masked, the color is black and the
     share 0.
     """
-    found = []
+    colors = []
     for photograph in photographs:
         pixels = _border(photograph.color.cpu().numpy())
         if photograph.valid is not None:
@@ -122,8 +122,8 @@ def dominant_border_color(photographs: Iterable[Photograph]) -> tuple[FloatArray
             _, rows, counts = np.unique(pixels // _BIN_LEVELS, axis=0, return_inverse=True, return_counts=True)
             color = pixels[rows.reshape(-1) == counts.argmax()].mean(axis=0)
             share = (np.abs(pixels - color) <= _MAX_DIFFERENCE).all(axis=1).mean()
-            found.append([*color / 255, share])
-    *color, share = np.median(found, axis=0) if found else np.zeros(4)
+            colors.append([*color / 255, share])
+    *color, share = np.median(colors, axis=0) if colors else np.zeros(4)
     return np.array(color), float(share)
 
 

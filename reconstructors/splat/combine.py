@@ -146,8 +146,9 @@ def add_map(
     u, v = pixels.T
     rows = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
     u, v, z = u[rows], v[rows], z[rows]
-    at = v.astype(np.int64), u.astype(np.int64)
-    depths, map_normals = depths_on_planes(camera, depth_map, *at, u, v), depth_map.normal[at].astype(np.float64)
+    row, column = v.astype(np.int64), u.astype(np.int64)
+    depths = depths_on_planes(camera, depth_map, row, column, u, v)
+    map_normals = depth_map.normal[row, column].astype(np.float64)
     cosines = np.einsum("ni,ni->n", normals[rows] @ camera.cam_from_world.rotation.T, map_normals)
     near = (depths > 0) & (np.abs(depths - z) <= _LIMITS.depth * z)
     near &= cosines >= np.cos(np.radians(_LIMITS.normal_deg))

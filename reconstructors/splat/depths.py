@@ -88,15 +88,15 @@ def _render(model: SurfaceModel, camera: Camera) -> RenderedMap:
     depth, median = output.depth.cpu().numpy(), output.median_depth.cpu().numpy()
     normal = output.normal.cpu().numpy()
     alpha = 1 - transmittance
-    known = median > 0
-    depth_disagreement = np.abs(depth / np.where(known, alpha, 1) - median)
-    disagreement_px = depth_disagreement / np.where(known, median, 1) * np.float32(camera.intrinsics.fx)
+    has_depth = median > 0
+    depth_disagreement = np.abs(depth / np.where(has_depth, alpha, 1) - median)
+    disagreement_px = depth_disagreement / np.where(has_depth, median, 1) * np.float32(camera.intrinsics.fx)
     length = np.linalg.norm(normal, axis=2)
-    known &= length > 0
+    has_depth &= length > 0
     depth_map = DepthMap(
-        np.where(known, median, 0).astype(np.float32),
-        np.where(known[..., None], normal / np.where(known, length, 1)[..., None], 0).astype(np.float32),
-        np.where(known, alpha / (1 + (disagreement_px / _DEPTH_DISAGREEMENT_PX) ** 2), 0).astype(np.float32),
+        np.where(has_depth, median, 0).astype(np.float32),
+        np.where(has_depth[..., None], normal / np.where(has_depth, length, 1)[..., None], 0).astype(np.float32),
+        np.where(has_depth, alpha / (1 + (disagreement_px / _DEPTH_DISAGREEMENT_PX) ** 2), 0).astype(np.float32),
     )
     return RenderedMap(depth_map, (255 * color.clip(0, 1)).round().astype(np.uint8), depth_disagreement)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from reconstructors.splat.photographs import Photograph
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from reconstructors.splat.density import Density
 from reconstructors.splat.train import Snapshot, evaluate
 
@@ -85,15 +85,15 @@ def score_surface(depths: Mapping[str, Sequence[Tensor]]) -> Score:
     """
 
     def score(training: Training, photographs: Sequence[Photograph]) -> float:
-        correct = known = 0
+        correct = counted = 0
         for photograph in photographs:
             target = depths[photograph.name][0]
             rendered = training.model.render_geometry(photograph.view).median_depth
             assert rendered is not None
             max_error = target * (_MAX_DEPTH_ERROR_PX / photograph.view.fx)
             correct += int(((rendered - target).abs() <= max_error)[target > 0].sum())
-            known += int((target > 0).sum())
-        return 100 * correct / known
+            counted += int((target > 0).sum())
+        return 100 * correct / counted
 
     return score
 
@@ -220,7 +220,7 @@ class Curve:
     def read(cls, path: Path) -> Curve:
         """Return the curve that `write` wrote."""
         head, *rows = csv.reader(path.read_text(encoding="utf-8").splitlines())
-        criterion = next(known for known in CRITERIA.values() if "_".join(known.column) in head)
+        criterion = next(each for each in CRITERIA.values() if "_".join(each.column) in head)
         first = head.index("chosen") + 1
         numbers = [[*map(float, row)] for row in rows]
         return cls(tuple(Budget(int(n[0]), int(n[1]), tuple(n[first:]), n[2]) for n in numbers), criterion)

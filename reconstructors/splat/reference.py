@@ -109,11 +109,12 @@ def project(gaussians: GaussianTensors, view: View) -> Projection:
     x, y, z = center.unbind(1)
     left, right, top, bottom = view.limits
     axes = rotation @ rotations(quats)
-    covariance = axes @ torch.diag_embed(scales**2) @ axes.mT
+    covariance = axes @ torch.diag_embed(scales**2) @ axes.mT  # Kerbl et al. 2023, eq. 6
     zero = torch.zeros_like(z)
     across = torch.stack([view.fx / z, zero, -view.fx * (x / z).clamp(left, right) / z], dim=1)
     down = torch.stack([zero, view.fy / z, -view.fy * (y / z).clamp(top, bottom) / z], dim=1)
     jacobian = torch.stack([across, down], dim=1)
+    # Kerbl et al. 2023, eq. 5: the covariance is that in the axes of the camera.
     in_pixels = jacobian @ covariance @ jacobian.mT + _DILATION * torch.eye(2, dtype=z.dtype, device=z.device)
     inverse = torch.linalg.inv(in_pixels)
     slope = inverse @ (jacobian @ covariance[:, :, 2:])
@@ -167,7 +168,7 @@ def blend(projection: Projection, view: View, background: Tensor) -> Blended:
         zeros = chunk.new_zeros(len(chunk), 1)
         offset = chunk[:, None] - projection.xy
         square = torch.einsum("pni,nij,pnj->pn", offset, projection.inverse, offset)
-        alpha = projection.opacities * torch.exp(-square / 2)
+        alpha = projection.opacities * torch.exp(-square / 2)  # Kerbl et al. 2023, eq. 4
         contributes = alpha >= min_alpha
         alpha = torch.where(contributes, alpha.clamp(max=_MAX_ALPHA), 0)
         with torch.no_grad():
@@ -179,7 +180,7 @@ def blend(projection: Projection, view: View, background: Tensor) -> Blended:
         transmittance_before = torch.cumprod(torch.cat([1 - zeros, 1 - alpha], dim=1), dim=1)
         weight = alpha * transmittance_before[:, :-1]
         plane = projection.depth + (offset * projection.slope).sum(dim=2)
-        sums = weight @ features
+        sums = weight @ features  # Kerbl et al. 2023, eq. 3
         visible |= contributes.any(dim=0)
         parts.append(
             (
@@ -247,8 +248,8 @@ class ReferenceRasterizer:
             (output.depth, depth),
             (output.normal, normal),
         ]
-        given = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
-        outputs, gradients = zip(*given, strict=True)
+        used = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
+        outputs, gradients = zip(*used, strict=True)
         *grad_gaussians, grad_xy = torch.autograd.grad(
             outputs,
             (*self._leaves, projection.xy),
@@ -283,9 +284,10 @@ def image_loss(image: Tensor, target: Tensor, ssim_weight: float) -> ImageLoss:
         mean_x, mean_y = smooth(x), smooth(y)
         xx, yy, xy = smooth(x * x) - mean_x**2, smooth(y * y) - mean_y**2, smooth(x * y) - mean_x * mean_y
         numerator = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
+        # Wang et al. 2004, eq. 13
         ssim = (numerator / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
         l1 = (x - y).abs().mean()
-        loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)
+        loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)  # Kerbl et al. 2023, eq. 7
         (gradient,) = torch.autograd.grad(loss, leaf)
     return ImageLoss(l1.detach(), ssim.detach(), gradient)
 

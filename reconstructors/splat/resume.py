@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from pcbench.io.contents import digest
-from pcbench.io.files import atomic_write
 from pcbench.plugins.progress import progress
 from pcbench.progress import duration
+from pcbench.scratch import atomic_write
 from reconstructors.splat.model import Gaussians
 
 if TYPE_CHECKING:
@@ -75,8 +75,10 @@ def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: s
         now = time.monotonic()
         steps_run += 1  # not the difference of steps, which may go back
         if now - last_message > _PROGRESS_INTERVAL_S:
-            left = (now - start) / steps_run * (total - training.step)
-            progress(f"training: step {training.step:,} of {total:,}, {training.status()}, {duration(left)} left")
+            seconds_left = (now - start) / steps_run * (total - training.step)
+            progress(
+                f"training: step {training.step:,} of {total:,}, {training.status()}, {duration(seconds_left)} left"
+            )
             last_message = now
         if now - last_checkpoint > _CHECKPOINT_INTERVAL_S:
             save_checkpoint(training, checkpoint, key)

@@ -529,10 +529,10 @@ class GaussianSplatting:
         if (folder / CURVE).is_file():
             yield f"{Curve.read(folder / CURVE).sentence}; all models tried: {folder / CURVE}"
         elif self.density == "parsimonious" and not in_blocks:
-            known = " with depths that three images confirm" if self.select == "surface" else ""
+            condition = " with depths that three images confirm" if self.select == "surface" else ""
             yield (
                 f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
-                f" images{known}"
+                f" images{condition}"
             )
         if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
             yield (

@@ -60,11 +60,11 @@ class Supervision:
             return DepthGradients()
         assert rendering.depth is not None
         target = depths[0]
-        known = target > 0
+        has_depth = target > 0
         # Compare the weighted sums: a mean depth would divide by alpha, which is near 0 at a nearly transparent pixel.
         difference = rendering.depth - (1 - rendering.transmittance) * target
-        gradient = difference.sign() * known * (self.weight / known.sum().clamp(min=1))
-        return DepthGradients(gradient, gradient / target.where(known, target.new_ones(())))
+        gradient = difference.sign() * has_depth * (self.weight / has_depth.sum().clamp(min=1))
+        return DepthGradients(gradient, gradient / target.where(has_depth, target.new_ones(())))
 
 
 def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) -> Supervision:

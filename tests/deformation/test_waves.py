@@ -23,9 +23,9 @@ def terrain(seed, count, amplitude=0.0, length=100.0, noise=0.03):
     return np.stack([x, y, z], axis=1) + rng.normal(0, noise, (count, 3))
 
 
-@pytest.mark.parametrize("length", [60.0, 100.0, 150.0])
+@pytest.mark.parametrize("length", [60.0, 150.0])
 def test_a_wave_is_found_with_its_length_direction_and_size(length):
-    result = verdict(terrain(1, 60_000), terrain(2, 20_000, 0.10, length), "none")
+    result = verdict(terrain(1, 40_000), terrain(2, 20_000, 0.10, length), "none")
     assert result.verdict == "non-affine", result.warnings
     wave = result.wave
     assert wave.axis == "z"
@@ -36,7 +36,7 @@ def test_a_wave_is_found_with_its_length_direction_and_size(length):
     assert low < 0.10 / np.sqrt(2) < high
     assert wave.rms == pytest.approx(0.10 / np.sqrt(2), rel=0.15)
     assert result.amplitude.rms >= wave.rms
-    if length == 100.0:
+    if length == 150.0:
         check_text(result.sentence("c", "m"))
 
 

@@ -22,9 +22,10 @@ from pcbench.registration import register
 from pcbench.registration.result import FAR_OFF
 
 
-def deform_pair(make, seed, method="icp"):
-    pair = make(seed)
-    return deform(pair.reference, pair.candidate, method)[1]
+def deform_pair(make, seed, method="icp", step=1):
+    """Return the verdict on a pair, or on every `step`-th point of both clouds."""
+    clouds = (cloud.select(np.arange(0, len(cloud), step)) for cloud in make(seed)[:2])
+    return deform(*clouds, method)[1]
 
 
 SLOW = pytest.mark.slow
@@ -47,7 +48,7 @@ def test_bend_of_a_forest_is_detected():
 
 
 def test_subsidence_is_reported_with_its_size_and_place():
-    result = deform_pair(PARTS["subsidence 1"], 43)
+    result = deform_pair(PARTS["subsidence 1"], 43, step=2)
     assert result.verdict == "none"
     largest = result.changes[0]
     assert largest.kind == "moved"
@@ -65,14 +66,14 @@ def test_groups_of_adjacent_tiles():
 
 
 def test_offset_strips_are_reported():
-    result = deform_pair(PARTS["strips 0.5"], 44)
+    result = deform_pair(PARTS["strips 0.5"], 44, step=2)
     assert result.verdict == "undecided"
     assert "parts-displaced" in warning_codes(result)
     assert " 90 degrees " in check_text(result.warnings[0])
 
 
 def test_clouds_that_are_not_registered_get_no_verdict():
-    result = deform_pair(turned_city(3.0), 45, "none")
+    result = deform_pair(turned_city(3.0), 45, "none", step=4)
     assert result.verdict == "undecided"
     assert warning_codes(result)[0] in ("not-registered", "doubtful-registration")
 
@@ -80,9 +81,9 @@ def test_clouds_that_are_not_registered_get_no_verdict():
 def test_both_sizes_of_a_bend_are_correct():
     """The sizes of a dome over the ground and over the whole surface differ, because walls do not show it."""
     rng = np.random.default_rng(46)
-    candidate = add_dome(sample_city(40_000, rng), 0.1)
-    result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
-    surface_points, amplitude = sample_city(200_000, np.random.default_rng(47)), result.amplitude
+    candidate = add_dome(sample_city(20_000, rng), 0.1)
+    result = verdict(add_noise(sample_city(60_000, rng), rng), add_noise(candidate, rng))
+    surface_points, amplitude = sample_city(100_000, np.random.default_rng(47)), result.amplitude
     lift = (add_dome(surface_points, 0.1) - surface_points)[:, 2]
     # The city's normals: vertical on flat ground and roofs, horizontal on walls.
     normals = estimate_normals(Index(surface_points)).directions
@@ -171,7 +172,7 @@ def test_few_tiles_of_an_undeformed_street_scan_change():
     """Tiles of a scan have heavy tails: density, incidence and curvature vary from tile to tile."""
     scan = read_cloud(data_folder("small_gicp") / "target.ply", on_warning=lambda _: None)
     changed, tested = 0, 0
-    for seed in (100, 101, 102):
+    for seed in (100, 101):
         order = np.random.default_rng(seed).permutation(len(scan))
         local = deform(scan.select(order[::2]), scan.select(order[1::2]), "icp")[1].local
         changed, tested = changed + local.tiles_changed, tested + local.tiles_tested

@@ -59,7 +59,7 @@ def test_surface_uses_given_normals_and_estimates_missing_ones():
     points = shapes.plane_grid(10)
     input_normals = np.tile([0, 3.0, 4.0], (100, 1))
     input_normals[7] = 0
-    normals = Surface(Index(points), given=input_normals).normals(np.array([7, 8]))
+    normals = Surface(Index(points), normals=input_normals).normals(np.array([7, 8]))
     np.testing.assert_allclose(normals, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-12)
 
 
@@ -67,7 +67,7 @@ def test_surface_uses_given_normals_and_estimates_missing_ones():
 def test_uncomputed_rows_are_nan(has_normals):
     points = shapes.plane_grid(10)
     input_normals = np.zeros((100, 3)) if has_normals else None
-    surface = Surface(Index(points), given=input_normals)
+    surface = Surface(Index(points), normals=input_normals)
     normals = surface.compute_normals(np.array([3, 50]))
     np.testing.assert_allclose(normals[[3, 50]], [[0, 0, 1]] * 2, atol=1e-12)
     assert np.isnan(np.delete(normals, [3, 50], axis=0)).all()
@@ -84,7 +84,7 @@ def test_selected_rows_have_the_normals_of_all_rows(count):
     np.testing.assert_array_equal(surface.compute_normals(None), whole.compute_normals(None))
     np.testing.assert_array_equal(surface.variation(rows), whole.variation(rows))
     partly = np.where(np.arange(200)[:, None] < 20, directions, 0)
-    completed = Surface(Index(points), given=partly).compute_normals(None)
+    completed = Surface(Index(points), normals=partly).compute_normals(None)
     np.testing.assert_allclose(completed[:20], directions[:20], rtol=1e-15)  # scaled to unit length again: a few ulp
     np.testing.assert_array_equal(completed[20:], whole.compute_normals(None)[20:])
 

@@ -16,8 +16,9 @@ from wording import check_error, check_text
 import pcbench
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io import files, read_cloud, write_cloud
+from pcbench.io import read_cloud, write_cloud
 from pcbench.io.meshes import read_mesh
+from pcbench.scratch import atomic_write
 
 NAN = float("nan")
 HEADER_START = "ply\nformat binary_little_endian 1.0\n"
@@ -233,7 +234,7 @@ def test_failed_write_keeps_existing_file(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt):
-        with files.atomic_write(path) as file:
+        with atomic_write(path) as file:
             file.write(b"new")
             raise KeyboardInterrupt
     assert path.read_bytes() == b"old"

@@ -17,7 +17,7 @@ from wording import check_error, check_text
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.contents import digest
-from pcbench.io.files import check_output
+from pcbench.io.outputs import check_output
 from pcbench.io.pieces import open_cloud, read_piece
 from pcbench.io.source import Source
 

@@ -40,8 +40,17 @@ def sample_city(count, seed):
     return points[np.abs(points[:, :2]).max(axis=1) < 90]
 
 
-@pytest.mark.parametrize("scene", ["forest", "ball", "city"])
-@pytest.mark.parametrize(("ratio", "noise"), [(1, 0.0), (4, 0.2), (0.25, 0.2), (1, 1.0)])
+@pytest.mark.parametrize(
+    ("scene", "ratio", "noise"),
+    [
+        ("forest", 1, 0.0),
+        ("forest", 0.25, 0.2),
+        ("ball", 4, 0.2),
+        ("ball", 1, 1.0),
+        ("city", 1, 1.0),
+        ("city", 4, 0.2),
+    ],
+)
 def test_contrast_is_about_one_at_the_true_pose(scene, ratio, noise):
     """Candidates of equal, lower and higher density, one with noise as large as the spacing."""
     sample = {"forest": sample_forest, "ball": sample_bumpy_ball, "city": sample_city}[scene]
@@ -72,7 +81,7 @@ def test_a_mirror_image_is_doubtful():
 
 
 def test_a_wrong_rotation_is_doubtful():
-    reference, candidate = sample_bumpy_ball(20_000, 0), sample_bumpy_ball(10_000, 1)
+    reference, candidate = sample_bumpy_ball(10_000, 0), sample_bumpy_ball(10_000, 1)
     rotated = Similarity(shapes.rotation([1, 2, 3], 25), np.zeros(3)).apply(candidate)
     registration = register(reference, rotated)
     true_pose = Similarity(shapes.rotation([1, 2, 3], -25), np.zeros(3))
@@ -96,7 +105,7 @@ def sample_jug(count, seed):
 
 
 def test_a_round_body_rotated_about_its_axis_has_a_warning():
-    reference, candidate = sample_jug(20_000, 0), sample_jug(20_000, 1)
+    reference, candidate = sample_jug(10_000, 0), sample_jug(10_000, 1)
     assert not register(reference, candidate, "none").warnings
     rotated = Similarity(shapes.rotation([0, 0, 1], 90), np.zeros(3)).apply(candidate)
     assert register(reference, rotated, "none").warnings
@@ -130,7 +139,7 @@ def test_a_scan_of_uneven_density_is_observable():
     rng = np.random.default_rng(3)
     clouds = []
     for seed in (1, 2):
-        points = city(4).sample(500_000, np.random.default_rng(seed))[0]
+        points = city(4).sample(250_000, np.random.default_rng(seed))[0]
         distance = np.linalg.norm(points - [5.0, 3, 2], axis=1)
         clouds.append(points[rng.random(len(points)) < np.minimum(1, (12 / distance) ** 2)])
     registration = register(*clouds)
@@ -165,7 +174,7 @@ def scan_street(eye, lines, steps, noise, seed):
     return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[in_range]
 
 
-@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (32, 1800, 0.015), (64, 900, 0.03)])
+@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (64, 900, 0.03)])
 def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
     """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
     reference = scan_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)

@@ -101,7 +101,7 @@ def test_random_rows_are_distinct_and_reproducible():
 
 
 @pytest.mark.skipif(bool(problem := import_problem("kiss_matcher")), reason=str(problem))
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_a_part_of_a_city_does_not_slide_onto_another(seed):
     """Streets and terrain repeat: at the wrong place the part lies on the reference, but its houses do not fit."""
     pair = build_pair(RunPlan("registration", "city", "overlap", 40.0, None, "global", seed, 8000))

@@ -14,10 +14,10 @@ from wording import check_error, check_text
 from pcbench import Cloud
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics, look_at, nearest_rotation
-from pcbench.geometry.geodesy import Gps
+from pcbench.geometry.geodesy import Gps, enu_axes
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
-from pcbench.io.earth_studio import EARTH_RADIUS, _enu_axes, read_earth_studio, wgs84_from_sphere
+from pcbench.io.earth_studio import EARTH_RADIUS, read_earth_studio, wgs84_from_sphere
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms, write_transforms
 from pcbench.scenes import read_scene, write_cameras
@@ -297,7 +297,7 @@ def test_earth_studio_in_wgs84_metres(tmp_path):
 def test_points_on_the_sphere_keep_their_geographic_position():
     origin = Gps(-33.9, 151.2, 20.0)
     coordinates = np.array(origin) + np.random.default_rng(1).uniform(-1, 1, (200, 3)) * [0.01, 0.01, 300]
-    axes = _enu_axes(origin)
+    axes = enu_axes(origin)
     points = (np.stack([point_on_sphere(*row) for row in coordinates]) - point_on_sphere(*origin)) @ axes.T
     np.testing.assert_allclose(wgs84_from_sphere(points, origin), wgs84_to_enu(coordinates, origin), atol=1e-6)
 

@@ -14,8 +14,8 @@ from pcbench.studies.bend.bend import KIND as BEND
 from pcbench.studies.frame.folder import MARK, check_folder, folders_by_name, study_folder
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.gao.gao import KIND as GAO
-from pcbench.studies.views.runs import KIND as VIEWS
 from pcbench.studies.views.runs import ViewsJob, run_views
+from pcbench.studies.views.scores import KIND as VIEWS
 
 KINDS = (BENCH, BEND, GAO, VIEWS)
 

@@ -3,12 +3,13 @@
 import json
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import pytest
 import shapes
 import stress_studies
 from benches import row
+from benches import study as study_of_rows
 from gao_studies import deformation
 from gao_studies import scene as gao_scene
 from gao_studies import study as gao_study
@@ -24,7 +25,7 @@ from pcbench.report import to_json
 from pcbench.report.article import Bullets, Figure, markdown
 from pcbench.report.html import PAGE, Origin, article_page
 from pcbench.studies.bench import page as bench_page
-from pcbench.studies.bench.pareto import mark_front
+from pcbench.studies.bench.results import ThresholdScore
 from pcbench.studies.bend import page as bend_page
 from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, MutualVerdict, SolutionResult, SurveyedScene
 from pcbench.studies.frame.folder import StudyKind
@@ -43,32 +44,22 @@ from pcbench.studies.views import page as views_page
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views
 
 
-def bench_document(name="photos"):
-    """Document of a bench in which one configuration is dominated and one failed."""
+def bench_study(name="photos"):
+    """Bench in which one configuration is dominated and one failed."""
+    at_threshold = ThresholdScore(0.1, 2.0, 0.5, 0.5, 0.5, None, None, 1.0, None, None)
+    measured = partial(
+        row, points=1234, threshold=0.1, pixels=2.0, peak_rss_bytes=2**28, choices={"image_scale": "0.5"},
+        accuracy_to="points", thresholds=(at_threshold,),
+    )  # fmt: skip
     rows = [
-        row(name, 1.0, 0.5, fscore_visible=None),
-        row("b", 2.0, 0.9, notes=(name, "warning: few images")),
-        row("c", 3.0, 0.7),
-        row("d", 0.1, None, "failed", message=name),
+        measured(name, 1.0, 0.5),
+        measured("b", 2.0, 0.9, notes=(name, "warning: few images")),
+        measured("c", 3.0, 0.7),
+        measured("d", 0.1, None, "failed", message=name),
     ]
-    for values in rows:
-        values |= {"registration": "none", "points": 1234, "threshold": 0.1, "pixels": 2.0, "peak_rss_bytes": 2**28}
-        values |= {"choices": {"image_scale": "0.5"}}
-    mark_front(rows)
-    reference = {
-        "path": f"/data/{name}/truth.ply",
-        "unit": "m",
-        "visible_share": 0.5,
-        "visibility": "rays",
-        "mesh": None,
-    }
-    return {
-        "scene": {"path": f"/data/{name}", "sha256": "a" * 64},
-        "reference": {**reference, "sha256": "b" * 64},
-        "provenance": PROVENANCE,
-        "notes": [f"a note on {name}"],
-        "rows": rows,
-    }
+    made = study_of_rows(rows, f"/data/{name}/truth.ply", f"/data/{name}", notes=(f"a note on {name}",))
+    reference = replace(made.reference, visible_share=0.5, visibility="rays")
+    return replace(made, reference=reference, provenance=PROVENANCE)
 
 
 def bend_study(name="photos"):
@@ -120,7 +111,7 @@ def hostile_tradeoff(name):
 
 # Functions that return the article of a study with a name in all texts that users or files choose.
 ARTICLES = {
-    "bench": lambda name, _: bench_page.article(bench_document(name)),
+    "bench": lambda name, _: bench_page.article(bench_study(name)),
     "bend": lambda name, _: bend_page.article(bend_study(name)),
     "gao": lambda name, folder: gao_page.article(known_gao_study(name), view_study(folder / "v", name)),
     "stress": lambda name, _: stress_page.article(stress_study(name)),
@@ -167,23 +158,22 @@ def test_hostile_names_stay_text(study, tmp_path):
 
 
 def test_answers_of_bench_and_views(tmp_path):
-    check_text("\n".join(bench_page.article(bench_document()).answer), masked=False)
-    document = bench_document()
-    check_text("\n".join(bench_page.article({**document, "rows": document["rows"][3:]}).answer), masked=False)
-    check_text("\n".join(bench_page.article({**document, "rows": document["rows"][:1]}).answer), masked=False)
-    seeds = [{**document["rows"][0], "seed": 1}, {**document["rows"][3], "method": "photos", "seed": 2}]
-    check_text("\n".join(bench_page.article({**document, "rows": seeds}).answer), masked=False)
-    study = view_study(tmp_path)
-    check_text("\n".join(views_page.article(study).answer), masked=False)
-    check_text("\n".join(views_page.article(ViewStudy(study.scenes[:1])).answer), masked=False)
+    check_text("\n".join(bench_page.article(bench_study()).answer), masked=False)
+    study = bench_study()
+    seeds = (replace(study.rows[0], seed=1), replace(study.rows[3], method="photos", seed=2))
+    for rows in (study.rows[3:], study.rows[:1], seeds):
+        check_text("\n".join(bench_page.article(replace(study, rows=rows)).answer), masked=False)
+    views = view_study(tmp_path)
+    check_text("\n".join(views_page.article(views).answer), masked=False)
+    check_text("\n".join(views_page.article(ViewStudy(views.scenes[:1])).answer), masked=False)
 
 
 def test_answers_are_those_of_the_results(tmp_path):
-    document = bench_document()
-    best = max(document["rows"][:3], key=lambda row: row["fscore"])
+    study = bench_study()
+    best = max(study.rows[:3], key=lambda row: row.score.fscore)
     assert (
-        f"{best['method']} image_scale=0.5 has the highest F-score of {best['fscore']:g}"
-        in (bench_page.article(document).answer[0])
+        f"{best.method} image_scale=0.5 has the highest F-score of {best.score.fscore:g}"
+        in (bench_page.article(study).answer[0])
     )
     scene = view_study(tmp_path).scenes[0]
     assert f"PSNR of {scene.mean(test=True).psnr:.2f}" in "".join(views_page.article(view_study(tmp_path)).answer)
@@ -220,7 +210,7 @@ def test_gao_links_to_the_reports_that_exist_and_shows_its_pictures(tmp_path):
 def test_bench_and_stress_show_speed_and_stability():
     charts = ["figures/speed.png", "figures/accuracy_completeness.png"]
     shown = [
-        b.file for s in bench_page.article(bench_document(), charts).sections for b in s.blocks if isinstance(b, Figure)
+        b.file for s in bench_page.article(bench_study(), charts).sections for b in s.blocks if isinstance(b, Figure)
     ]
     assert shown == charts
     names = ["outcomes_registration.png", "speed.png", "profiles.png", "severity_registration_start.png", "worst_1.png"]

@@ -1,7 +1,10 @@
 """Pages of studies in a real browser: their pictures load, and nothing else; narrow, dark and printed."""
 
+from functools import partial
+
 import pytest
 from benches import row
+from benches import study as study_of_rows
 from browser import CHROMIUM, Browser
 from html_pages import PROVENANCE
 from optional import import_or_skip
@@ -11,8 +14,7 @@ from pcbench.report import to_json
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.bench.charts import CHARTS
 from pcbench.studies.bench.page import article as bench_article
-from pcbench.studies.bench.pareto import mark_front
-from pcbench.studies.bench.runs import KIND as BENCH
+from pcbench.studies.bench.results import KIND as BENCH
 from pcbench.studies.frame.publish import draw_here, write_report
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.page import article as stress_article
@@ -38,16 +40,12 @@ def write_stress(folder):
 
 
 def write_bench(folder):
-    rows = [row(NAME, 1.0, 0.5), row("b", 2.0, 0.9), row("c", 0.1, None, "failed", message=NAME)]
-    for values in rows:
-        values |= {"registration": "none", "points": 10, "threshold": 0.1}
-    mark_front(rows)
-    reference = {"path": "r.ply", "sha256": "b" * 64, "unit": "m", "visible_share": None, "mesh": None}
-    doc = {"schema": "pcbench.bench/1", "scene": {"path": "s", "sha256": "a" * 64}, "reference": reference}
-    doc |= {"rows": rows, "notes": [], "provenance": PROVENANCE}
-    (folder / "bench.json").write_text(to_json(doc))
+    measured = partial(row, points=10, threshold=0.1)
+    rows = [measured(NAME, 1.0, 0.5), measured("b", 2.0, 0.9), row("c", 0.1, None, "failed", message=NAME)]
+    study = study_of_rows(rows, provenance=PROVENANCE)
+    (folder / BENCH.document).write_text(to_json(BENCH.values(study)))
     drawn = draw_if_possible(folder, CHARTS)
-    article = bench_article(doc, drawn.relative_to(folder))
+    article = bench_article(study, drawn.relative_to(folder))
     assert drawn.problem is write_report(folder, BENCH, lambda: article, PROVENANCE) is None
     return 1  # no accuracy in these rows
 

@@ -43,19 +43,8 @@ def describe_las(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, 
             warn_of_rest(header, warn)
             parts = split(header.count, piece_points)
     low, high = map(as_corner, header.bounds) if header.bounds is not None and header.count else (None, None)
-    return (
-        CloudFile(
-            path,
-            header.count,
-            low,
-            high,
-            crs,
-            unit,
-            has_normals(extras),
-            header.count * (_COORDINATE_BYTES + header.record_bytes),
-        ),
-        parts,
-    )
+    nbytes = header.count * (_COORDINATE_BYTES + header.record_bytes)
+    return CloudFile(path, header.count, low, high, crs, unit, has_normals(extras), nbytes, header), parts
 
 
 def read_las_piece(

@@ -40,7 +40,7 @@ def describe_pieces(
         piece_points: largest number of points of a piece.
         skip_bad: whether damaged and missing files are left out.
         notes: warnings about the choice of files, each with a path.
-        look: what a look at the file tells, if there is one.
+        look: result of a look at the file, if there is one.
     """
     if piece_points < 1:
         raise InputError(f"expected pieces of at least one point, got {piece_points}")

@@ -12,11 +12,9 @@ from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.io.files import dropped_warning, errors_named
 from pcbench.io.formats import format_of
 from pcbench.io.las_checks import LasCounts
-from pcbench.io.las_header import LasHeader, read_header
 from pcbench.io.las_records import LasFilters
 from pcbench.io.merging import merge_warnings
 from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning
-from pcbench.io.paths import EPT
 from pcbench.io.pieces.formats import piece_format
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes, PiecePoints
 
@@ -65,7 +63,7 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
     """Return what was noticed while reading pieces, in the lines of `pcbench.read_cloud`, without `cloud.warnings`.
 
     Args:
-        cloud: the cloud.
+        cloud: the cloud with its files.
         notes: pieces that were read, each with its notes, in any order. Checks of a whole file are made if all its
             pieces are there.
     """
@@ -75,8 +73,9 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
     for piece, note in ordered:
         if note.las is not None:
             counts[piece.file] = counts[piece.file].merge(note.las) if piece.file in counts else note.las
+    headers = {file.path: file.las_header for file in cloud.files}
     for path, merged in counts.items():
-        lines += [(path, line) for line in merged.warnings(_las_header(path))]
+        lines += [(path, line) for line in merged.warnings(headers[path])]
     finite, dropped = sum(note.finite for _, note in ordered), sum(note.dropped for _, note in ordered)
     if dropped:
         lines.append((cloud.path, dropped_warning(dropped, finite + dropped)))
@@ -84,11 +83,3 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
         lines.append((cloud.path, line))
     from_headers = set(cloud.file_warnings)
     return tuple(merge_warnings(pair for pair in lines if pair not in from_headers))
-
-
-def _las_header(path: Path) -> LasHeader | None:
-    """Return the header of a LAS file; None for Entwine Point Tiles, whose nodes have separate headers."""
-    if path.name == EPT:
-        return None
-    with errors_named(path), path.open("rb") as file:
-        return read_header(file, lambda _: None)

@@ -6,7 +6,7 @@ All types are frozen and can be pickled, because worker processes read the piece
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.las_checks import LasCounts
+from pcbench.io.las_header import LasHeader
 from pcbench.io.merging import merge_warnings
 from pcbench.io.nodata import CoordinateCounts
 
@@ -40,6 +41,7 @@ class CloudFile:
         unit: unit of the coordinates, or None if the file states none.
         has_normals: whether its points have normals.
         nbytes_in_memory: estimated bytes of the `pcbench.Cloud` that `read_cloud` returns for it.
+        las_header: header of LAS, LAZ or COPC, with which the points are compared; None for other formats.
     """
 
     path: Path
@@ -50,6 +52,7 @@ class CloudFile:
     unit: str | None = None
     has_normals: bool = False
     nbytes_in_memory: int = 0
+    las_header: LasHeader | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from pcbench.errors import PcbenchError, record_error
 from pcbench.extras import require
-from pcbench.io.files import atomic_write
 from pcbench.report.words import one_line, printable
+from pcbench.scratch import atomic_write
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import require
-from pcbench.io.files import read_json_object
 from pcbench.opengl import OFF_SCREEN_ENVIRONMENT, NoFiguresError
+from pcbench.regular_files import read_json_object
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
 

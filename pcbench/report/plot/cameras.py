@@ -11,11 +11,11 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
-from pcbench.io.files import atomic_write
 from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.plot.outputs import METADATA, check_picture
 from pcbench.report.plot.panels import new_figure
 from pcbench.report.viewing import ViewingCameras
+from pcbench.scratch import atomic_write
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene

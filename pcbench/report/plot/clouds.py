@@ -12,7 +12,6 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import atomic_write
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range, ranges_of
 from pcbench.report.figures import Figures
@@ -22,6 +21,7 @@ from pcbench.report.plot.panels import drawing_style
 from pcbench.report.read import UNKNOWN_UNIT
 from pcbench.report.scalars import SCALARS, scalar_of
 from pcbench.report.viewing import ViewingCameras
+from pcbench.scratch import atomic_write
 
 _MIN_ZERO_RATIO = 0.5  # of the lowest to the highest value: above, the colours do not start at zero
 

@@ -46,7 +46,7 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud], cameras: ViewingC
 
 
 class Framing(NamedTuple):
-    """Frame, unit of lengths and appearance that the pictures of a scene have in common."""
+    """The frame, the unit of lengths and the appearance that the pictures of a scene have in common."""
 
     frame: Frame
     unit: str

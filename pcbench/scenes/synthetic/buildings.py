@@ -40,10 +40,10 @@ class _BuildingPlacer(NamedTuple):
 
     def on_roof(self, below: Solid, kind: str, x: float, y: float, width: float, depth: float, height: float) -> Solid:
         """Place a box at local x, y on a flat roof, sunk 20 cm into it, because coplanar faces would flicker."""
-        at = below.world(np.array([[x, y]]))[0]
+        position = below.world(np.array([[x, y]]))[0]
         seed = 0 if self.settings.repeated else int(self.rng.integers(1 << 30))
         bottom, eaves = below.eaves - 0.2, below.eaves + height
-        return Solid(kind, float(at[0]), float(at[1]), below.yaw, width, depth, bottom, eaves, 0.0, seed)
+        return Solid(kind, float(position[0]), float(position[1]), below.yaw, width, depth, bottom, eaves, 0.0, seed)
 
 
 def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
@@ -149,14 +149,14 @@ def place_cars(
     """Yield parked and driving cars on the right-hand side of each street."""
     place_building = _BuildingPlacer(settings, terrain, rng)
     for street in (s for line in lines for s in line):
-        crossings = [(s.at, s.width / 2 + 6) for s in lines[1 - street.axis]]
-        for at in np.arange(-settings.extent / 2 + 5, settings.extent / 2 - 5, 7.5):
-            if any(abs(at - position) < reach for position, reach in crossings):
+        crossings = [(s.center, s.width / 2 + 6) for s in lines[1 - street.axis]]
+        for station in np.arange(-settings.extent / 2 + 5, settings.extent / 2 - 5, 7.5):
+            if any(abs(station - position) < reach for position, reach in crossings):
                 continue
             for side in (-1, 1):
                 if rng.random() < 0.22:
-                    offset = street.at + side * street.width * rng.uniform(0.25, 0.34)
-                    where = (offset, float(at)) if street.axis == 0 else (float(at), offset)
+                    offset = street.center + side * street.width * rng.uniform(0.25, 0.34)
+                    where = (offset, float(station)) if street.axis == 0 else (float(station), offset)
                     yield _car(place_building, *where, float(rng.normal(0, 0.02) + (street.axis == 0) * np.pi / 2))
 
 
@@ -170,8 +170,8 @@ def _trees(block: Block, count: int, solids: list[Solid], terrain: Terrain, rng:
         x, y = (float(rng.uniform(block.low[a] + 1, block.high[a] - 1)) for a in (0, 1))
         if block.kind == "lake":  # on the shore
             x = block.low[0] + 1.5 if rng.random() < 0.5 else block.high[0] - 1.5
-        at = np.array([[x, y]])
-        clear = [np.abs(s.local(at))[0] - [s.width / 2, s.depth / 2] for s in solids]
+        position = np.array([[x, y]])
+        clear = [np.abs(s.local(position))[0] - [s.width / 2, s.depth / 2] for s in solids]
         if any(gap.max() < 1.25 * radius for gap in clear):  # crowns bulge by up to a fifth of the radius
             continue
         if any(np.hypot(x - t.x, y - t.y) < radius + t.radius for t in kept):

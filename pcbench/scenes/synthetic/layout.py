@@ -39,8 +39,8 @@ def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Ge
     blocks: list[Block] = []
     for west, east in pairwise(lines[0]):
         for south, north in pairwise(lines[1]):
-            low = (west.at + west.width / 2, south.at + south.width / 2)
-            high = (east.at - east.width / 2, north.at - north.width / 2)
+            low = (west.center + west.width / 2, south.center + south.width / 2)
+            high = (east.center - east.width / 2, north.center - north.width / 2)
             centre = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
             block = Block(_choose_kind(centre, settings, rng), low, high, int(rng.integers(1 << 30)))
             if settings.symmetric and np.hypot(*centre) < 1e-6:
@@ -62,9 +62,12 @@ def _is_rotated_copy(block: Block) -> bool:
 def _level_lakes(terrain: Terrain, lakes: list[Block]) -> None:
     """Flatten the terrain in and next to each lake to its lowest height there."""
     n = len(terrain.heights)
-    at = (np.arange(n) - (n - 1) / 2) * terrain.step
+    coordinates = (np.arange(n) - (n - 1) / 2) * terrain.step
     for lake in lakes:
-        i, j = (np.flatnonzero((at > lake.low[a] - terrain.step) & (at < lake.high[a] + terrain.step)) for a in (1, 0))
+        i, j = (
+            np.flatnonzero((coordinates > lake.low[a] - terrain.step) & (coordinates < lake.high[a] + terrain.step))
+            for a in (1, 0)
+        )
         terrain.heights[np.ix_(i, j)] = terrain.heights[np.ix_(i, j)].min()
 
 
@@ -72,8 +75,8 @@ def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
     """Return terrain as a sum of waves, higher in the countryside."""
     n = 2 * TERRAIN_CELLS
     step = settings.extent / TERRAIN_CELLS
-    at = (np.arange(n + 1) - n / 2) * step
-    x, y = np.meshgrid(at, at)
+    coordinates = (np.arange(n + 1) - n / 2) * step
+    x, y = np.meshgrid(coordinates, coordinates)
     waves = np.zeros_like(x)
     for length in (0.45, 0.6, 0.9):
         angle, phase = rng.uniform(0, 2 * np.pi, 2)

@@ -150,9 +150,9 @@ def _resample(
     """
     for size in shape:
         count = len(plane) - 2 * border_cells
-        at = (np.arange(-beyond, size + beyond) + 0.5) * count / size - 0.5 + border_cells
-        at = np.clip(at, 0, len(plane) - 1)
-        low = np.minimum(at.astype(int), len(plane) - 2)
-        part = (at - low).astype(np.float32)[:, None]
+        rows = (np.arange(-beyond, size + beyond) + 0.5) * count / size - 0.5 + border_cells
+        rows = np.clip(rows, 0, len(plane) - 1)
+        low = np.minimum(rows.astype(int), len(plane) - 2)
+        part = (rows - low).astype(np.float32)[:, None]
         plane = ((1 - part) * plane[low] + part * plane[low + 1]).T
     return plane

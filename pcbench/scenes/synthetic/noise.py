@@ -64,20 +64,22 @@ class FractalNoise:
         texel = (grid.v[-1] - grid.v[0]) / max(1, len(grid.v) - 1) or cell
         level = int(np.clip(np.round(np.log2(abs(texel) / cell)), 0, len(self._levels) - 1))
         tile, size = self._levels[level], cell * 2**level
-        rows, columns = (at / size + s / 2**level - 0.5 for at, s in zip((grid.v, grid.u), start, strict=True))
-        window = tile[np.ix_(*(_index_range(at) % len(tile) for at in (rows, columns)))]
+        rows, columns = (
+            positions / size + shift / 2**level - 0.5 for positions, shift in zip((grid.v, grid.u), start, strict=True)
+        )
+        window = tile[np.ix_(*(_index_range(positions) % len(tile) for positions in (rows, columns)))]
         return np.ascontiguousarray(_interpolate_rows(_interpolate_rows(window, rows).T, columns).T)
 
 
-def _index_range(at: FloatArray) -> NDArray[np.int64]:
-    """Return all integers needed to interpolate at `at`."""
-    return np.arange(int(np.floor(at.min())), int(np.floor(at.max())) + 2)
+def _index_range(positions: FloatArray) -> NDArray[np.int64]:
+    """Return all integers needed to interpolate at `positions`."""
+    return np.arange(int(np.floor(positions.min())), int(np.floor(positions.max())) + 2)
 
 
-def _interpolate_rows(window: Plane, at: FloatArray) -> Plane:
+def _interpolate_rows(window: Plane, positions: FloatArray) -> Plane:
     """Interpolate linearly between rows of a window whose first row is at floor(min(at))."""
-    low = np.floor(at).astype(int)
-    part = (at - low).astype(np.float32)[:, None]
+    low = np.floor(positions).astype(int)
+    part = (positions - low).astype(np.float32)[:, None]
     low -= low.min()
     between: Plane = (1 - part) * window[low] + part * window[low + 1]
     return between

@@ -184,8 +184,8 @@ class Painter:
     def paint_leaves(self, side: int) -> Paint:
         """Paint foliage (side, side, 3); trees use parts of it."""
         rng = np.random.default_rng([self.settings.seed, 4])
-        at = 2 * _FINEST_CELL * np.arange(side, dtype=np.float64)  # noise as fine as the texels
-        noise = 0.30 * self.noise(Grid(at, at, at[-1], at[-1]), rng)
+        texels = 2 * _FINEST_CELL * np.arange(side, dtype=np.float64)  # noise as fine as the texels
+        noise = 0.30 * self.noise(Grid(texels, texels, texels[-1], texels[-1]), rng)
         green = (0.27, 0.40, 0.16)
         return self._fade(_tint(green, 1 + noise + rng.normal(0, 0.15, (side, side)).astype(np.float32)), green)
 
@@ -212,7 +212,7 @@ class Painter:
         plain[:] = _PLAIN_GROUND
         mirror: Plane | None = None
         for street in plan.streets:
-            self._markings(image, plan, street.axis, street.at, street.width, x, y)
+            self._markings(image, plan, street.axis, street.center, street.width, x, y)
         for block in plan.blocks:
             i = slice(*np.searchsorted(y, [block.low[1], block.high[1]]))
             j = slice(*np.searchsorted(x, [block.low[0], block.high[0]]))
@@ -229,24 +229,24 @@ class Painter:
         return self._fade(image, plain, mirror)
 
     def _markings(
-        self, image: Image, plan: CityPlan, axis: int, at: float, width: float, x: FloatArray, y: FloatArray
+        self, image: Image, plan: CityPlan, axis: int, center: float, width: float, x: FloatArray, y: FloatArray
     ) -> None:
         """Paint a dashed centre line, lines at the kerbs, and zebra crossings at junctions."""
         across, along = (x, y) if axis == 0 else (y, x)
         view = image if axis == 0 else image.transpose(1, 0, 2)
-        near = np.abs(across - at)
+        near = np.abs(across - center)
         crossing = np.zeros(len(along), dtype=bool)
         zebra = np.zeros(len(along), dtype=bool)
         for other in plan.streets:
             if other.axis != axis:
-                gap = np.abs(along - other.at) - other.width / 2
+                gap = np.abs(along - other.center) - other.width / 2
                 crossing |= gap < 5
                 zebra |= (gap > 0.8) & (gap < 3.8)
         white = np.array([0.84, 0.84, 0.80], dtype=np.float32)
         dashes = (np.mod(along, 6.0) < 3.0) & ~crossing
         view[np.ix_(dashes, near < 0.14)] = white
         view[np.ix_(~crossing, np.abs(near - (width / 2 - 0.4)) < 0.12)] = white * 0.85
-        bars = (np.mod(across - at, 1.1) < 0.55) & (near < width / 2 - 0.3)
+        bars = (np.mod(across - center, 1.1) < 0.55) & (near < width / 2 - 0.3)
         view[np.ix_(zebra, bars)] = white
 
     def _block(self, block: Block, grid: Grid) -> tuple[Image, NDArray[np.bool_]]:
@@ -271,11 +271,11 @@ class Painter:
             inner = _tint(_GRASS, 1 + 0.22 * noise)
             inner += np.float32(0.05) * other * np.array([1.2, 0.5, -0.2], dtype=np.float32)
             if block.kind == "park":
-                angle, bend = rng.uniform(0, np.pi), rng.uniform(0.08, 0.2)
+                angle, wave_number = rng.uniform(0, np.pi), rng.uniform(0.08, 0.2)
                 for turn in (0, rng.uniform(0.8, 2.2)):
                     c, s = np.cos(angle + turn), np.sin(angle + turn)
                     a, b = u - grid.width / 2, v - grid.height / 2
-                    path = np.abs(s * a - c * b + 5 * np.sin(bend * (c * a + s * b)))
+                    path = np.abs(s * a - c * b + 5 * np.sin(wave_number * (c * a + s * b)))
                     inner[path < 1.6] = paving[path < 1.6] * np.array([1.05, 0.98, 0.85], dtype=np.float32)
             else:
                 long = int(grid.height > grid.width)

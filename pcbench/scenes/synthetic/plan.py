@@ -128,7 +128,7 @@ class Street(NamedTuple):
     """Street parallel to the y axis (0) or the x axis (1)."""
 
     axis: int  # the street has a constant x (0) or y (1)
-    at: float
+    center: float  # that coordinate of its centre line
     width: float
 
 

@@ -62,11 +62,11 @@ class Mirrors:
         faces = hits.faces[hit_rows]
         corners = self.index.mesh.vertices[self.index.mesh.faces[faces]]
         weights = _barycentric(corners, starts[hit_rows] + hits.distances[hit_rows, None] * directions[hit_rows])
-        at = np.einsum("nk,nkc->nc", weights, self.uv[faces])
+        uv = np.einsum("nk,nkc->nc", weights, self.uv[faces])
         light = np.einsum("nk,nk->n", weights, self.shade[faces] / np.float32(255))
         for page_number in np.unique(self.page[faces]):
             on_page = self.page[faces] == page_number
-            result[hit_rows[on_page]] = _texels(self.pages[page_number], at[on_page]) * light[on_page, None].astype(
+            result[hit_rows[on_page]] = _texels(self.pages[page_number], uv[on_page]) * light[on_page, None].astype(
                 np.float32
             )
         return result

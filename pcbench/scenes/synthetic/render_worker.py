@@ -115,11 +115,11 @@ class CityView:
             strip = image[top : top + _STRIP_ROWS]
             v = top + (np.arange(SUPERSAMPLING * len(strip)) + 0.5) / SUPERSAMPLING
             fine = np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2)
-            at = self.focal * k.directions(fine)[:, :2] + [0.5 * self.width - 0.5, 0.5 * self.height - 0.5]
-            low, high = np.clip([np.floor(at[:, 1].min()) - 1, np.ceil(at[:, 1].max()) + 2], 0, self.height).astype(int)
-            at[:, 1] -= low
+            xy = self.focal * k.directions(fine)[:, :2] + [0.5 * self.width - 0.5, 0.5 * self.height - 0.5]
+            low, high = np.clip([np.floor(xy[:, 1].min()) - 1, np.ceil(xy[:, 1].max()) + 2], 0, self.height).astype(int)
+            xy[:, 1] -= low
             for c in range(3):
-                plane = map_coordinates(samples[low:high, :, c], at.T[::-1], output=np.float32, order=1, mode="nearest")
+                plane = map_coordinates(samples[low:high, :, c], xy.T[::-1], output=np.float32, order=1, mode="nearest")
                 strip[..., c] = _downsample(plane.reshape(len(v), len(u), 1))[..., 0]
         return image
 

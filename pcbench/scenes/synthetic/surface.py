@@ -65,18 +65,18 @@ class _FaceBuilder:
 
 
 def build_city(
-    given: CitySettings | CityPlan, texel: float | None = None, cameras: Sequence[Camera] = ()
+    city: CitySettings | CityPlan, texel: float | None = None, cameras: Sequence[Camera] = ()
 ) -> CitySurface:
     """Lay out, mesh, paint and light a city; about 20 CPU seconds with default settings.
 
     Args:
-        given: settings of a city, or its plan.
+        city: settings of a city, or its plan.
         texel: texel size in metres on city surfaces without a camera nearby; fields get four times as much. Default:
             0.15, or more in proportion if the city is larger than 400 m.
         cameras: cameras of the images. Surfaces that they observe get texels at most as large as the smallest pixel
             there, unless the city would have too many texels. Foliage is not refined.
     """
-    plan = lay_out(given) if isinstance(given, CitySettings) else given
+    plan = lay_out(city) if isinstance(city, CitySettings) else city
     texel = texel or 0.15 * max(1.0, plan.settings.extent / 400)
     faces, charts = _FaceBuilder(), list[Chart]()
     _add_ground(plan.terrain, plan.settings, texel, faces, charts)

@@ -20,7 +20,7 @@ from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.io import write_cloud
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 
 SCHEMA = "pcbench.warp/1"
 _BASIN = (0.35, -0.25, 0.30)  # centre x, y and standard deviation of the subsidence, relative to `Warp.lengths`
@@ -90,8 +90,8 @@ class Warp:
 
     def displacement(self, points: FloatArray) -> FloatArray:
         """Return the displacement (N, 3) of points (N, 3) before the similarity."""
-        at = (points - self.center) @ self.axes.T / self.lengths
-        field = self.amplitude * np.stack(_FIELDS[self.kind](*at.T), axis=1)
+        normalized = (points - self.center) @ self.axes.T / self.lengths
+        field = self.amplitude * np.stack(_FIELDS[self.kind](*normalized.T), axis=1)
         moved: FloatArray = field @ self.axes
         return moved
 

@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.io.files import read_json
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
 from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations
 from pcbench.studies.bench.plan import IMAGE_SCALE
+from pcbench.studies.bench.results import KIND, Bench, BenchRow
+from pcbench.studies.frame.canvas import blank_figure, open_frame, plain_log_ticks
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _DOMINATED_COLOR = "#d9dbde"
@@ -44,27 +45,27 @@ _ACCURACY_COMPLETENESS = (
 
 
 # Draws the charts of a bench folder.
-CHARTS = Drawer(f"{__name__}:pictures", ("bench.json",))
+CHARTS = Drawer(f"{__name__}:pictures", (KIND.document,))
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the charts of a folder that `pcbench bench` wrote."""
-    document = read_json(folder / "bench.json")
+    study = KIND.read(folder)
     why_not = "no run was measured"
     return {
-        "speed": Picture(lambda path: draw_speed(document, path), why_not),
-        "accuracy_completeness": Picture(lambda path: draw_accuracy_completeness(document, path), why_not),
+        "speed": Picture(lambda path: draw_speed(study, path), why_not),
+        "accuracy_completeness": Picture(lambda path: draw_accuracy_completeness(study, path), why_not),
     }
 
 
-def draw_speed(document: dict[str, Any], path: Path) -> bool:
+def draw_speed(study: Bench, path: Path) -> bool:
     """Draw F-score and Chamfer distance against wall time; false if there is nothing to draw."""
-    return _draw(document, path, _SPEED_QUANTITIES)
+    return _draw(study, path, _SPEED_QUANTITIES)
 
 
-def draw_accuracy_completeness(document: dict[str, Any], path: Path) -> bool:
+def draw_accuracy_completeness(study: Bench, path: Path) -> bool:
     """Draw accuracy and completeness against wall time; recall also over the part that the cameras saw."""
-    return _draw(document, path, _ACCURACY_COMPLETENESS)
+    return _draw(study, path, _ACCURACY_COMPLETENESS)
 
 
 class _ChartLook(NamedTuple):
@@ -103,19 +104,15 @@ def _series(method: str, choices: Mapping[str, str], text_settings: frozenset[st
     return " ".join((method, *(f"{key}={value}" for key, value in choices.items() if key in text_settings)))
 
 
-def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity]) -> bool:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    found = configurations(document["rows"])
-    quantities = [of for of in quantities if any(c.median(of.column) is not None for c in found)]
+def _draw(study: Bench, path: Path, quantities: Sequence[_Quantity]) -> bool:
+    groups = configurations(study.rows)
+    quantities = [quantity for quantity in quantities if any(c.median(quantity.column) is not None for c in groups)]
     if not quantities:
         return False
-    look = _chart_look(document, found)
-    failed = [row for row in document["rows"] if row["status"] != "ok"]
+    look = _chart_look(study, groups)
+    failed = [row for row in study.rows if row.score is None]
     rows = -(-len(quantities) // 2)
-    figure = Figure(dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(dpi=120)
     failure_marks = _failure_marks(figure, look, failed)
     height = 0.12 + 0.16 * (1 + max((failure.line for failure in failure_marks), default=0))  # of the strip, in inches
     strip = [height / 4.2] if failed else []
@@ -136,25 +133,25 @@ def _draw(document: dict[str, Any], path: Path, quantities: Sequence[_Quantity])
     return True
 
 
-def _chart_look(document: dict[str, Any], found: list[Configuration]) -> _ChartLook:
+def _chart_look(study: Bench, groups: list[Configuration]) -> _ChartLook:
     values: dict[str, dict[str, None]] = {}
-    for c in found:
+    for c in groups:
         for key, value in c.choices.items():
             values.setdefault(key, {})[value] = None
     varied = {key for key, of in values.items() if len(of) > 1}
     numeric_settings = frozenset(key for key in varied if all(map(_is_number, values[key])))
     text_settings = frozenset(varied - numeric_settings)
-    series = list(dict.fromkeys(_series(c.method, c.choices, text_settings) for c in found))
-    times = np.array([row["wall_s"] for row in document["rows"]])
-    threshold = next((row["threshold"] for row in document["rows"] if row.get("threshold")), 0.0)
-    unit = document["reference"].get("unit") or "units of the file"
+    series = list(dict.fromkeys(_series(c.method, c.choices, text_settings) for c in groups))
+    times = np.array([row.run.wall_s for row in study.rows])
+    threshold = study.scores[0].threshold if study.scores else 0.0
+    unit = study.reference.unit or "units of the file"
     return _ChartLook(
-        found,
+        groups,
         numeric_settings,
         text_settings,
         {name: SERIES[number % len(SERIES)] for number, name in enumerate(series)},
         {name: _MARKERS[number % len(_MARKERS)] for number, name in enumerate(series)},
-        max((c.median("peak_rss_bytes") or 1.0 for c in found), default=1.0),
+        max((c.median("peak_rss_bytes") or 1.0 for c in groups), default=1.0),
         unit,
         f"{threshold:.3g} {unit}",
         (float(times.min()) / 1.6, float(times.max()) * 1.9),
@@ -188,7 +185,7 @@ def _draw_panel(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
         _draw_marker(axis, look, quantity, c, on_front=any(c is other for other in front))
     axis.set_xscale("log")
     axis.set_xlim(*look.time_limits)
-    _set_plain_log_ticks(axis.xaxis)
+    plain_log_ticks(axis.xaxis)
     axis.set_xlabel("wall time [s]")
     axis.set_ylabel(quantity.label.format(unit=look.unit, threshold=look.threshold))
     axis.set_title(f"{quantity.title} ({'higher' if quantity.higher_is_better else 'lower'} is better)", fontsize=11)
@@ -199,20 +196,11 @@ def _draw_panel(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
     elif min(values, default=1.0) > 0 and max(values, default=1.0) > _MIN_LOG_RATIO * min(values, default=1.0):
         axis.set_yscale("log")
         axis.set_ylim(min(values) / 1.5, max(values) * 1.5)
-        _set_plain_log_ticks(axis.yaxis)
+        plain_log_ticks(axis.yaxis)
     else:
         axis.set_ylim(0, 1.2 * max(values, default=1.0) or 1.0)
     axis.grid(True, which="major", alpha=0.3)
-    axis.spines[["top", "right"]].set_visible(False)
-
-
-def _set_plain_log_ticks(axis: Any) -> None:
-    """Put ticks at 1, 2 and 5 times powers of ten, written as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    open_frame(axis)
 
 
 def _draw_marker(axis: Any, look: _ChartLook, quantity: _Quantity, c: Configuration, *, on_front: bool) -> None:
@@ -289,15 +277,15 @@ class _FailureMark(NamedTuple):
     left: bool  # whether the text is left of the cross
 
 
-def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[dict[str, Any]]) -> list[_FailureMark]:
+def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[BenchRow]) -> list[_FailureMark]:
     """Group failures and place each label on the first line where it overlaps no other."""
     width = 4.6 * figure.dpi  # minimum width of a strip, in pixels
     low, high = np.log(look.time_limits)
     groups: dict[tuple[str, str, int], list[float]] = {}  # failures of a series within one marker's width
-    for row in sorted(failed, key=lambda row: row["wall_s"]):
-        at = (np.log(row["wall_s"]) - low) / (high - low) * width
-        series = look.series(row["method"], row["choices"])
-        groups.setdefault((series, row["status"], int(at // 8)), []).append(row["wall_s"])
+    for row in sorted(failed, key=lambda row: row.run.wall_s):
+        position = (np.log(row.run.wall_s) - low) / (high - low) * width
+        series = look.series(row.method, row.choices)
+        groups.setdefault((series, row.run.status, int(position // 8)), []).append(row.run.wall_s)
     lines: list[list[tuple[float, float]]] = []
     marks = []
     for (series, status, _), times in groups.items():

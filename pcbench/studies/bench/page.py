@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
+from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Paragraph
 from pcbench.report.words import join_words
-from pcbench.studies.bench.pareto import Configuration, choice_text, configurations, front_configurations
+from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations
+from pcbench.studies.bench.results import Bench
 from pcbench.studies.bench.table import LABELS, bench_table, legend, threshold_table, threshold_text, warnings
+from pcbench.studies.frame.pages import drawn_pictures
 
 _CAPTIONS = {
     "speed": "Accuracy against wall time: F-score, where higher is better, and Chamfer distance, where lower is better",
@@ -17,51 +18,41 @@ _CAPTIONS = {
 }
 
 
-def article(doc: dict[str, Any], figures: Sequence[str] = ()) -> Article:
-    """Return a bench as an article.
-
-    Args:
-        doc: document of bench.json.
-        figures: files of the charts, relative to the folder of the bench.
-    """
-    scene, reference = (Path(doc[key]["path"]) for key in ("scene", "reference"))
-    methods = list(dict.fromkeys(row["method"] for row in doc["rows"]))
-    charts = [Figure(file, _CAPTIONS[Path(file).stem]) for file in figures]
-    table = DataTable("Time, memory and scores of each configuration", bench_table(doc), LABELS)
-    sections = [ArticleSection("Time against accuracy", [*charts, table, Paragraph("Best in bold, second in italics."),
-                                                  Bullets(list(legend(doc)))])]  # fmt: skip
-    if thresholds := threshold_table(doc):
+def article(study: Bench, figures: Sequence[str] = ()) -> Article:
+    """Return a bench as an article; `figures` are the files of its charts, relative to its folder."""
+    scene, reference = Path(study.scene.path), Path(study.reference.path)
+    methods = list(dict.fromkeys(row.method for row in study.rows))
+    table = DataTable("Time, memory and scores of each configuration", bench_table(study), LABELS)
+    ranks = Paragraph("Best in bold, second in italics.")
+    charts = drawn_pictures(figures, _CAPTIONS, *_CAPTIONS)
+    sections = [ArticleSection("Time against accuracy", [*charts, table, ranks, Bullets(list(legend(study)))])]
+    if thresholds := threshold_table(study):
         sections.append(ArticleSection("At each threshold", [DataTable("Scores at each threshold", thresholds, 2)]))
     return Article(
         kind="Reconstructors side by side",
         title=f"{join_words(methods, 4)} on {scene.name or scene}, against {reference.name}",
-        answer=list(_answer(doc)),
-        warnings=warnings(doc),
+        answer=list(_answer(study)),
+        warnings=warnings(study),
         setup=[],
         sections=sections,
     )
 
 
-def _answer(doc: dict[str, Any]) -> Iterator[str]:
+def _answer(study: Bench) -> Iterator[str]:
     """Yield the configuration with the highest F-score, and the faster ones on the Pareto front."""
-    found = configurations(doc["rows"])
-    front = front_configurations(found, "fscore", higher_is_better=True)
+    groups = configurations(study.rows)
+    front = front_configurations(groups, "fscore", higher_is_better=True)
     if not front:
-        measured = any(c.measured_rows for c in found)
-        yield "No configuration was measured with all seeds." if measured else "No run could be measured."
+        yield "No configuration was measured with all seeds." if study.scores else "No run could be measured."
         return
     *faster, best = front
-    alone = sum(c.is_reliable and c.median("fscore") is not None for c in found) == 1
-    threshold = threshold_text(doc)
-    at = "" if threshold is None else f" at {threshold}"
-    yield f"{_name(best)} has {'an' if alone else 'the highest'} F-score of {_score(best)}{at}, in {_seconds(best)}."
+    alone = sum(group.is_reliable for group in groups) == 1
+    article_word = "an" if alone else "the highest"
+    at = f" at {threshold_text(study)}"
+    yield f"{best.name} has {article_word} F-score of {_score(best)}{at}, in {_seconds(best)}."
     if faster:
-        others = [f"{_name(c)} ({_score(c)} in {_seconds(c)})" for c in faster]
+        others = [f"{c.name} ({_score(c)} in {_seconds(c)})" for c in faster]
         yield f"Faster, with the best F-score for their time: {join_words(others)}."
-
-
-def _name(c: Configuration) -> str:
-    return " ".join(filter(None, (c.method, choice_text(c.choices))))
 
 
 def _score(c: Configuration) -> str:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-
-def choice_text(choices: Mapping[str, str]) -> str:
-    """Return chosen settings as text."""
-    return " ".join(f"{key}={value}" for key, value in choices.items())
+from pcbench.studies.bench.results import BenchRow
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +17,17 @@ class Configuration:
 
     method: str
     choices: Mapping[str, str]
-    rows: Sequence[Mapping[str, Any]]
+    rows: Sequence[BenchRow]
 
     @property
-    def measured_rows(self) -> list[Mapping[str, Any]]:
+    def name(self) -> str:
+        """Method and settings as text."""
+        return self.rows[0].name
+
+    @property
+    def measured_rows(self) -> list[BenchRow]:
         """Rows with a measured cloud."""
-        return [row for row in self.rows if row["status"] == "ok"]
+        return [row for row in self.rows if row.score is not None]
 
     @property
     def is_reliable(self) -> bool:
@@ -35,7 +36,7 @@ class Configuration:
 
     def values(self, column: str) -> list[float]:
         """Values of a column in the measured rows that have one."""
-        return [row[column] for row in self.measured_rows if row.get(column) is not None]
+        return [value for row in self.measured_rows if (value := row.value(column)) is not None]
 
     def median(self, column: str) -> float | None:
         """Return the median of a column over the measured rows, or None."""
@@ -43,12 +44,12 @@ class Configuration:
         return float(np.median(values)) if values else None
 
 
-def configurations(rows: Iterable[Mapping[str, Any]]) -> list[Configuration]:
+def configurations(rows: Iterable[BenchRow]) -> list[Configuration]:
     """Group rows by method and settings, in the order of their first row."""
-    found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[object, ...], list[BenchRow]] = {}
     for row in rows:
-        found.setdefault((row["method"], *row["choices"].items()), []).append(row)
-    return [Configuration(group[0]["method"], group[0]["choices"], group) for group in found.values()]
+        groups.setdefault((row.method, *row.choices.items()), []).append(row)
+    return [Configuration(group[0].method, group[0].choices, group) for group in groups.values()]
 
 
 def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
@@ -60,17 +61,19 @@ def pareto_front(costs: ArrayLike) -> NDArray[np.bool_]:
     return ~beaten
 
 
-def front_configurations(found: Sequence[Configuration], column: str, *, higher_is_better: bool) -> list[Configuration]:
+def front_configurations(
+    groups: Sequence[Configuration], column: str, *, higher_is_better: bool
+) -> list[Configuration]:
     """Return the configurations on the Pareto front of median wall time and the median of a column, sorted by time.
 
     Only configurations that were measured with every seed take part.
 
     Args:
-        found: all configurations.
+        groups: all configurations.
         column: name of the column.
         higher_is_better: whether larger values of the column are better.
     """
-    measured = [c for c in found if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
+    measured = [c for c in groups if c.is_reliable and c.median("wall_s") is not None and c.median(column) is not None]
     if not measured:
         return []
     costs = np.array([[c.median("wall_s"), c.median(column)] for c in measured], dtype=np.float64)
@@ -79,16 +82,8 @@ def front_configurations(found: Sequence[Configuration], column: str, *, higher_
     return sorted(on_front, key=lambda c: c.median("wall_s") or 0.0)
 
 
-def mark_front(rows: Sequence[dict[str, Any]]) -> None:
-    """Set `pareto` of each row: whether its configuration is on the front of wall time and F-score.
-
-    It is None if the row was not measured.
-    """
-    found = configurations(rows)
-    best = {
-        id(row)
-        for configuration in front_configurations(found, "fscore", higher_is_better=True)
-        for row in configuration.rows
-    }
-    for row in rows:
-        row["pareto"] = (id(row) in best) if row["status"] == "ok" else None
+def with_front(rows: Sequence[BenchRow]) -> tuple[BenchRow, ...]:
+    """Return the rows with `pareto`: whether their configuration is on the front of wall time and F-score."""
+    front = front_configurations(configurations(rows), "fscore", higher_is_better=True)
+    best = {id(row) for configuration in front for row in configuration.rows}
+    return tuple(replace(row, pareto=None if row.score is None else id(row) in best) for row in rows)

@@ -9,7 +9,7 @@ from itertools import product
 
 from pcbench.errors import InputError
 from pcbench.plugins.run import Description
-from pcbench.studies.bench.pareto import choice_text
+from pcbench.studies.bench.results import choice_text
 
 IMAGE_SCALE = "image_scale"  # a setting of the scene; all other names are settings of the method
 _MAX_RUNS_PER_METHOD = 10_000

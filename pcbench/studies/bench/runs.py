@@ -10,6 +10,7 @@ import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from pcbench.errors import InputError, PcbenchError, RegistrationError, record_e
 from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.io.contents import digest
-from pcbench.io.json_values import to_json
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
@@ -30,54 +30,28 @@ from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bench.charts import CHARTS
 from pcbench.studies.bench.page import article
-from pcbench.studies.bench.pareto import choice_text, mark_front
+from pcbench.studies.bench.pareto import with_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
+from pcbench.studies.bench.results import (
+    COLUMNS,
+    KIND,
+    MEASURED,
+    Bench,
+    BenchInput,
+    BenchReference,
+    BenchRow,
+    RunRecord,
+    Score,
+)
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
-from pcbench.studies.bench.table import row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
 from pcbench.studies.frame.cells import map_cells
-from pcbench.studies.frame.folder import StudyKind, check_folder, study_folder
-from pcbench.studies.frame.publish import write_report, write_results
+from pcbench.studies.frame.folder import check_folder, study_folder
+from pcbench.studies.frame.publish import StudyOutcome, publish
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.systems import cpu_count
 from pcbench.tasks import Workers
 
-SCHEMA = "pcbench.bench/1"
-KIND = StudyKind("bench", "bench.json", SCHEMA, dict, "bench.md")
-COLUMNS = (
-    "method",
-    "settings",
-    "seed",
-    "status",
-    "wall_s",
-    "cpu_s",
-    "peak_rss_bytes",
-    "gpu_bytes",
-    "points",
-    "registration",
-    "accuracy_to",
-    "mean_c2r",
-    "mean_c2r_floor",
-    "mean_r2c",
-    "mean_r2c_floor",
-    "d1_c2r",
-    "d1_r2c",
-    "chamfer",
-    "hausdorff",
-    "threshold",
-    "pixels",
-    "precision",
-    "precision_floor",
-    "recall",
-    "recall_floor",
-    "fscore",
-    "recall_visible",
-    "recall_visible_floor",
-    "fscore_visible",
-    "pareto",
-    "beside_others",
-    "message",
-)
 _MEASURE_VERSION = 2  # increased when the measurement changes, so that stored scores are computed again
 _EXPECTED_RUN_S = 60.0  # rough duration of a run, for progress bars
 _RUNS_FOLDER, _RUN_FILE, _SCORE_FILE = "runs", "run.json", "score.json"
@@ -125,7 +99,7 @@ class FinishedRun:
         kept: whether an earlier bench made the run.
     """
 
-    row: Mapping[str, Any]
+    row: BenchRow
     number: int
     of: int
     kept: bool
@@ -133,20 +107,11 @@ class FinishedRun:
     @property
     def summary(self) -> str:
         """Result of the run in one line."""
-        row = self.row
-        end = f"F-score {row['fscore']:.4g}" if row["status"] == "ok" else f"{row['status']}: {row['message']}"
-        points = "" if row["points"] is None else f"{row['points']:,} points, "
+        run, score = self.row.run, self.row.score
+        end = f"{run.status}: {run.message}" if score is None else f"F-score {score.fscore:.4g}"
+        points = "" if run.points is None else f"{run.points:,} points, "
         kept = " (from an earlier bench)" if self.kept else ""
-        return f"{row_title(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
-
-
-@dataclass(frozen=True, eq=False)
-class BenchOutcome:
-    """The document of bench.json, and why requested charts or the page are missing, or None."""
-
-    document: dict[str, Any]
-    without_figures: str | None = None
-    without_page: str | None = None
+        return f"{self.row.title}: {run.wall_s:.1f} s, {points}{end}{kept}"
 
 
 def bench(
@@ -158,7 +123,7 @@ def bench(
     on_row: Callable[[FinishedRun], None] = lambda _: None,
     on_step: Callable[[str], None] = lambda _: None,
     on_warning: Callable[[str], None] = lambda _: None,
-) -> BenchOutcome:
+) -> StudyOutcome[Bench]:
     """Run each method with each combination of settings and measure its clouds. A failed run is recorded as a row.
 
     `bench.csv`, `bench.json`, `bench.md` and `report.html` are written after each run, and charts after the last. A
@@ -185,7 +150,7 @@ def bench(
     limit = min(120.0, job.time_limit_s or 120.0)
     specs = zip(labels(job.methods), job.methods, strict=True)
     methods = [Method(label, spec, describe(absolute(spec), limit)) for label, spec in specs]
-    todo, notes = trials(methods, job.axes, job.seeds)
+    planned, notes = trials(methods, job.axes, job.seeds)
     on_step("reading the reference")
     if job.mesh is None:
         job = replace(job, mesh=mesh_of(job.scene, job.reference))
@@ -197,26 +162,22 @@ def bench(
     inputs = _Inputs.from_job(job, scene, protocol)
     with study_folder(out, KIND, job):
         (out / _RUNS_FOLDER).mkdir(exist_ok=True)
-        rows: list[dict[str, Any]] = []
         shared = _Shared(job, inputs, protocol, out, beside_others=workers is not None)
         cells = map_cells(
-            _run_trial, shared, todo, out=out, workers=workers, step=on_step, cell_seconds=_EXPECTED_RUN_S
+            _run_trial, shared, planned, out=out, workers=workers, step=on_step, cell_seconds=_EXPECTED_RUN_S
         )
+        rows: list[BenchRow] = []
         for number, (row, kept) in enumerate(cells, 1):
             rows.append(row)
-            mark_front(rows)
-            doc = _document(job, inputs, protocol, methods, rows, notes)
-            _write(out, doc)
-            on_row(FinishedRun(row, number, len(todo), kept))
-        stale = {p.name for p in (out / _RUNS_FOLDER).iterdir()} - {_folder_name(trial) for trial in todo}
+            study = _study(job, inputs, protocol, methods, notes, rows)
+            _publish(out, study)  # to read while the bench runs
+            on_row(FinishedRun(row, number, len(planned), kept))
+        stale = {p.name for p in (out / _RUNS_FOLDER).iterdir()} - {_folder_name(trial) for trial in planned}
         if stale:
-            notes.append(f"{len(stale)} runs in {out / _RUNS_FOLDER} have other settings and are not in the tables")
-            doc = _document(job, inputs, protocol, methods, rows, notes)
-            _write(out, doc)
+            text = f"{len(stale)} runs in {out / _RUNS_FOLDER} have other settings and are not in the tables"
+            study = replace(study, notes=(*study.notes, text))
         on_step("drawing the charts" if figures else "writing the page")
-        drawn = draw_if_possible(out, CHARTS) if figures else Drawn([])
-        without_page = _write_report(out, doc, drawn.relative_to(out))
-    return BenchOutcome(doc, drawn.problem, without_page)
+        return _publish(out, study, partial(draw_if_possible, out, CHARTS) if figures else None)
 
 
 def _true_cameras(job: BenchJob, scene: Scene, warn: Callable[[str], None]) -> Mapping[str, Camera]:
@@ -254,16 +215,10 @@ class _Inputs:
             "cameras": hashlib.sha256(true).hexdigest(),
             "rules": asdict(job.rules),
             "measures": _MEASURE_VERSION,
-            "named_files": [digest(path) for path in _named_files(job.rules)],
+            "named_files": [digest(path) for path in protocol.files],
             "global": import_problem("kiss_matcher") is None,
         }
         return cls(run, measured)
-
-
-def _named_files(rules: Rules) -> list[Path]:
-    """Return the files with matrices, point pairs and polygons that the rules name."""
-    paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
-    return [path for path in paths if is_regular_file(path)]
 
 
 @dataclass(frozen=True)
@@ -285,25 +240,21 @@ class _Shared:
     beside_others: bool
 
 
-def _run_trial(shared: _Shared, trial: Trial, step: Callable[[str], None]) -> tuple[dict[str, Any], bool]:
+def _run_trial(shared: _Shared, trial: Trial, step: Callable[[str], None]) -> tuple[BenchRow, bool]:
     """Return the row of a trial, and whether both its run and its score were stored."""
     step(Step(trial.title, _EXPECTED_RUN_S))
     folder = shared.out / _RUNS_FOLDER / _folder_name(trial)
-    record, run_reused = _reconstruct(shared, trial, folder)
-    row = {
-        "method": trial.method.label,
-        "choices": dict(trial.choices),
-        "seed": trial.seed,
-        **record,
-        "folder": str(folder.relative_to(shared.out)),
-    }
-    if record["status"] != "ok":
+    run_record, run_reused = _reconstruct(shared, trial, folder)
+    name = str(folder.relative_to(shared.out))
+    row = BenchRow(trial.method.label, dict(trial.choices), trial.seed, run_record, name)
+    if run_record.status != MEASURED:
         return row, run_reused
-    measured, score_reused = _measure(shared.inputs, shared.protocol, folder, record["id"])
-    return {**row, **measured}, run_reused and score_reused
+    measured, score_reused = _measure(shared.inputs, shared.protocol, folder, run_record.id)
+    row = replace(row, score=measured.score) if measured.score is not None else row.unmeasured(measured.problem)
+    return row, run_reused and score_reused
 
 
-def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str, Any], bool]:
+def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[RunRecord, bool]:
     job = shared.job
     key = {
         **shared.inputs.run,
@@ -314,9 +265,9 @@ def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str,
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
-    stored = read_record(folder / _RUN_FILE, key, dict[str, Any])
+    stored = read_record(folder / _RUN_FILE, key, RunRecord)
     if stored is not None and _is_still_valid(stored, job.time_limit_s, folder):
-        return {"beside_others": False, **stored}, True
+        return stored, True
     # Start from an empty folder: the time of a resumed run would be too short.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -330,23 +281,23 @@ def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str,
     )
     result = run(reconstruction_job, folder, job.time_limit_s)
     reconstruction = result.reconstruction
-    record = {
-        "id": os.urandom(8).hex(),
-        "status": result.status,
-        "message": result.message,
-        "wall_s": result.wall_s,
-        "cpu_s": result.cpu_s,
-        "peak_rss_bytes": result.peak_rss_bytes,
-        "gpu_bytes": result.gpu_bytes,
-        "beside_others": shared.beside_others,
-        "time_limit_s": job.time_limit_s,
-        "settings": dict(result.settings),
-        "points": None if reconstruction is None else len(reconstruction.cloud),
-        "gauge": None if reconstruction is None else reconstruction.gauge,
-        "cameras": None if reconstruction is None else len(reconstruction.cameras),
-        "survey": reconstruction.residuals.plain() if reconstruction is not None and reconstruction.residuals else None,
-        "reconstruction_notes": [*result.warnings, *(() if reconstruction is None else reconstruction.notes)],
-    }
+    record = RunRecord(
+        id=os.urandom(8).hex(),
+        status=result.status,
+        message=result.message,
+        wall_s=result.wall_s,
+        cpu_s=result.cpu_s,
+        peak_rss_bytes=result.peak_rss_bytes,
+        gpu_bytes=result.gpu_bytes,
+        beside_others=shared.beside_others,
+        time_limit_s=job.time_limit_s,
+        settings=dict(result.settings),
+        points=None if reconstruction is None else len(reconstruction.cloud),
+        gauge=None if reconstruction is None else reconstruction.gauge,
+        cameras=None if reconstruction is None else len(reconstruction.cameras),
+        survey=reconstruction.residuals.plain() if reconstruction is not None and reconstruction.residuals else None,
+        reconstruction_notes=(*result.warnings, *(() if reconstruction is None else reconstruction.notes)),
+    )
     folder.mkdir(parents=True, exist_ok=True)  # a plugin may have removed it
     if reconstruction is not None:
         shutil.rmtree(folder / PLUGIN, ignore_errors=True)  # gigabytes of intermediate files
@@ -354,16 +305,16 @@ def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str,
     return record, False
 
 
-def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
+def _is_still_valid(record: RunRecord, limit: float | None, folder: Path) -> bool:
     """Return whether a new run with the same inputs would end as the stored one did."""
     # A missing library may be installed by now. A full disk or low memory may have caused a crash.
-    if record["status"] in ("refused", "crashed"):
+    if record.status in ("refused", "crashed"):
         return False
-    if record["status"] == "timeout":
-        return limit is not None and limit <= record["time_limit_s"]
-    if limit is not None and limit != record["time_limit_s"] and record["wall_s"] > limit:
+    if record.status == "timeout":
+        return limit is not None and record.time_limit_s is not None and limit <= record.time_limit_s
+    if limit is not None and limit != record.time_limit_s and record.wall_s > limit:
         return False
-    if record["status"] != "ok":
+    if record.status != MEASURED:
         return True
     try:
         read_reconstruction(folder)
@@ -372,25 +323,37 @@ def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path
     return True
 
 
-def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
+@dataclass(frozen=True)
+class _Measured:
+    """The score of a cloud, or why it cannot be measured."""
+
+    score: Score | None
+    problem: str = ""
+
+
+def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[_Measured, bool]:
     key = {"run": identity, **inputs.score}
-    stored = read_record(folder / _SCORE_FILE, key, dict[str, Any])
+    stored = read_record(folder / _SCORE_FILE, key, _Measured)
     if stored is not None:
         return stored, True
     try:
         reconstruction = read_reconstruction(folder)
     except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not stored: the next run tries again
-        return {"status": "unmeasured", "message": " ".join(record_error(error).split()) or "not enough memory"}, False
+        return _temporary(error), False
     try:
-        values = score(protocol, reconstruction, folder).row()
+        measured = _Measured(score(protocol, reconstruction, folder))
     except (InputError, RegistrationError) as error:
-        values = {"status": "unmeasured", "message": record_error(error)}
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
-        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(record_error(error).split())}"}
+        measured = _Measured(None, record_error(error))
     except (PcbenchError, MemoryError) as error:  # may be temporary: not stored, the next run measures the cloud again
-        return {"status": "unmeasured", "message": " ".join(record_error(error).split()) or "not enough memory"}, False
-    write_record(folder / _SCORE_FILE, key, values)
-    return values, False
+        return _temporary(error), False
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
+        measured = _Measured(None, f"{type(error).__name__}: {' '.join(record_error(error).split())}")
+    write_record(folder / _SCORE_FILE, key, measured)
+    return measured, False
+
+
+def _temporary(error: BaseException) -> _Measured:
+    return _Measured(None, " ".join(record_error(error).split()) or "not enough memory")
 
 
 def _folder_name(trial: Trial) -> str:
@@ -400,32 +363,31 @@ def _folder_name(trial: Trial) -> str:
     return f"{words}_{hashlib.sha256(identity.encode()).hexdigest()[:6]}"
 
 
-def _document(
+def _study(
     job: BenchJob,
     inputs: _Inputs,
     protocol: EvaluationProtocol,
     methods: Sequence[Method],
-    rows: Sequence[Mapping[str, Any]],
     notes: Sequence[str],
-) -> dict[str, Any]:
-    truth = protocol.truth
-    return {
-        "schema": SCHEMA,
-        "scene": {"path": str(job.scene), "sha256": inputs.run["scene"]},
-        "reference": {
-            "path": str(job.reference),
-            "sha256": inputs.score["reference"],
-            "points": len(truth.cloud),
-            "unit": truth.cloud.unit,
-            "mesh": None if job.mesh is None else {"path": str(job.mesh), "sha256": inputs.score["mesh"]},
-            "visible_share": None if truth.visible is None else float(truth.visible.mean()),
-            "visibility": truth.visibility,
-            "pixel": truth.pixel,
-            "seen_points": None if protocol.visible_points is None else len(protocol.visible_points),
-            "seen_spacing": protocol.visible_spacing,
-        },
-        "methods": [{"method": m.label, "spec": m.spec, **_description_values(m.description)} for m in methods],
-        "settings": {
+    rows: Sequence[BenchRow],
+) -> Bench:
+    truth, visible = protocol.truth, protocol.visible_points
+    return Bench(
+        scene=BenchInput(str(job.scene), inputs.run["scene"]),
+        reference=BenchReference(
+            path=str(job.reference),
+            sha256=inputs.score["reference"],
+            points=len(truth.cloud),
+            unit=truth.cloud.unit,
+            mesh=None if job.mesh is None else BenchInput(str(job.mesh), inputs.score["mesh"]),
+            visible_share=None if truth.visible is None else float(truth.visible.mean()),
+            visibility=truth.visibility,
+            pixel=truth.pixel,
+            seen_points=None if visible is None else len(visible),
+            seen_spacing=protocol.visible_spacing,
+        ),
+        methods=tuple({"method": m.label, "spec": m.spec, **_description_values(m.description)} for m in methods),
+        settings={
             "axes": [asdict(axis) for axis in job.axes],
             "seeds": job.seeds,
             "cameras": job.cameras,
@@ -433,28 +395,19 @@ def _document(
             "time_limit_s": job.time_limit_s,
             **asdict(job.rules),
         },
-        "provenance": {**provenance(None), "versions": inputs.run["versions"]},
-        "notes": list(notes),
-        "rows": list(rows),
-    }
+        provenance={**provenance(None), "versions": inputs.run["versions"]},
+        notes=tuple(notes),
+        rows=with_front(rows),
+    )
 
 
 def _description_values(description: Description) -> dict[str, Any]:
     return {name: getattr(description, name) for name in ("settings", "origin", "sha256", "problem")}
 
 
-def _write(out: Path, doc: dict[str, Any]) -> None:
-    rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
-    texts = {
-        "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
-        "bench.json": to_json(doc),
-    }
-    write_results(out, KIND, texts)
-    _write_report(out, doc)  # to read while the bench runs
-
-
-def _write_report(out: Path, doc: dict[str, Any], figures: Sequence[str] = ()) -> str | None:
-    inputs = [(role, doc[role]["path"], doc[role]["sha256"]) for role in ("scene", "reference")]
-    if (mesh := doc["reference"]["mesh"]) is not None:
-        inputs.append(("true surface", mesh["path"], mesh["sha256"]))
-    return write_report(out, KIND, lambda: article(doc, figures), doc["provenance"], inputs)
+def _publish(out: Path, study: Bench, draw: Callable[[], Drawn] | None = None) -> StudyOutcome[Bench]:
+    """Write all files of the bench."""
+    table = csv_text(COLUMNS, ([row.value(column) for column in COLUMNS] for row in study.rows))
+    files = {"scene": study.scene, "reference": study.reference, "true surface": study.reference.mesh}
+    inputs = [(role, file.path, file.sha256) for role, file in files.items() if file is not None]
+    return publish(out, KIND, study, {"bench.csv": table}, draw, partial(article, study), study.provenance, inputs)

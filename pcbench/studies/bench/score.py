@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,17 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.region_text import parse_region
+from pcbench.geometry.region_text import parse_region, region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
-from pcbench.io.files import atomic_write
 from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, parse_method
+from pcbench.registration import METHODS, Method, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import document
+from pcbench.scratch import atomic_write
+from pcbench.studies.bench.results import Score, ThresholdScore
 from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"
@@ -65,14 +66,14 @@ def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camer
     names = sorted(set(reconstruction.cameras) & set(cameras))
     notes: tuple[str, ...] = ()
     if names:
-        found = np.stack([reconstruction.cameras[name].position for name in names])
+        solved = np.stack([reconstruction.cameras[name].position for name in names])
         true = np.stack([cameras[name].position for name in names])
         try:
-            fit = robust_similarity(found, true, with_scale=free_scale)
+            fit = robust_similarity(solved, true, with_scale=free_scale)
         except InputError as error:
             notes = (f"cannot register by cameras: {record_error(error)}",)
         else:
-            errors = np.linalg.norm(fit.apply(found) - true, axis=1)
+            errors = np.linalg.norm(fit.apply(solved) - true, axis=1)
             spread = f"{np.median(errors):.3g} (median) and {errors.max():.3g} (largest)"
             note = f"registered by {len(names)} cameras; position errors: {spread}, in the reference's unit"
             return Alignment("cameras", fit, (note,))
@@ -112,7 +113,7 @@ class EvaluationProtocol:
 
     Args:
         truth: reference of the evaluation.
-        rules: rules of the evaluation.
+        method: registration method for all clouds; None: by the gauge of each.
         thresholds: at least one; tables and charts use the last one.
         region: evaluated region; None for everything.
         visible_points: (M, 3) points evenly spread over the part of the region that the cameras saw; None if unknown.
@@ -120,7 +121,7 @@ class EvaluationProtocol:
     """
 
     truth: Truth
-    rules: Rules
+    method: Method | None
     thresholds: tuple[Threshold, ...]
     region: Region | None
     visible_points: FloatArray | None
@@ -134,18 +135,21 @@ class EvaluationProtocol:
             InputError: the registration, region or threshold does not exist, or the region holds no point of the
                 reference.
         """
-        kind, _, path = rules.register.partition(":")
-        names_file = path and kind in ("points", "matrix")
-        if not names_file and rules.register not in (BY_GAUGE, *METHODS):
+        if ":" not in rules.register and rules.register not in (BY_GAUGE, *METHODS):
             expected = ", ".join((BY_GAUGE, *METHODS))
             raise InputError(f"expected a registration method ({expected}), got {rules.register!r}")
-        if names_file:
-            parse_method(rules.register)  # reads the file, to check it early
+        method = None if rules.register == BY_GAUGE else parse_method(rules.register)
         region = parse_region(rules.crop, truth.cloud)
         points_inside(truth.cloud.points, region, rules.crop, "the reference's")
         thresholds = _thresholds(rules.threshold, truth)
         visible = truth.sample_visible(min(t.length for t in thresholds), region)
-        return cls(truth, rules, thresholds, region, *(visible or (None, None)))
+        return cls(truth, method, thresholds, region, *(visible or (None, None)))
+
+    @property
+    def files(self) -> list[Path]:
+        """Files with matrices, point pairs and polygons that the rules name."""
+        method = None if self.method is None else self.method.file
+        return [*filter(None, (method, None if self.region is None else region_file(self.region)))]
 
 
 def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
@@ -155,7 +159,7 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
         if truth.spacing == 0:
             raise InputError("the median spacing of the reference is 0, so it gives no threshold; set --threshold")
         return tuple(Threshold(n * truth.spacing) for n in DEFAULT_PIXELS)
-    found = []
+    thresholds = []
     for word in text.split(","):
         number, in_pixels = (word.strip().removesuffix("px"), word.strip().endswith("px"))
         try:
@@ -168,93 +172,8 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
             raise InputError(
                 f"--threshold {text}: no camera of the scene sees the reference, so pixels have no size on it"
             )
-        found.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
-    return tuple(found)
-
-
-@dataclass(frozen=True)
-class ThresholdScore:
-    """Precision, recall and F-score at one threshold, with their floors.
-
-    Attributes:
-        threshold: distance threshold, in the reference's unit.
-        pixels: the threshold in pixels on the ground, if it was specified in pixels.
-        precision: share of the cloud's points within the threshold of the true surface, or of the reference's points if
-            the surface is unknown.
-        recall: share of the reference's points with a point of the cloud within the threshold.
-        fscore: harmonic mean of precision and recall.
-        recall_visible: recall over the area that the cameras saw; None if unknown.
-        fscore_visible: harmonic mean of precision and `recall_visible`; None if unknown.
-        precision_floor: precision of a cloud without errors: 1 against the surface, less against sparse points.
-        recall_floor: recall of the cloud's own points moved onto the surface. It is low if they are few or clustered.
-            None if the surface is unknown.
-        recall_visible_floor: the same over the area that the cameras saw.
-    """
-
-    threshold: float
-    pixels: float | None
-    precision: float
-    recall: float
-    fscore: float
-    recall_visible: float | None
-    fscore_visible: float | None
-    precision_floor: float
-    recall_floor: float | None
-    recall_visible_floor: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Score:
-    """Evaluation of one cloud.
-
-    Attributes:
-        registration: method that registered the cloud to the reference.
-        accuracy_to: `surface` if the true surface is known, otherwise `points` of the reference.
-        mean_c2r: mean distance from the cloud to the surface or the points.
-        mean_c2r_floor: `mean_c2r` of a cloud without errors; None if undefined.
-        mean_r2c: mean distance from the reference's points to the cloud.
-        mean_r2c_floor: `mean_r2c` of a cloud without errors; None if undefined.
-        d1_c2r: mean squared distance from the cloud to the surface or the points.
-        d1_r2c: mean squared distance from the reference's points to the cloud.
-        hausdorff: largest distance in either direction.
-        threshold_scores: one per threshold.
-        notes: one line each.
-        comparison: the complete comparison, as in comparison.json.
-    """
-
-    registration: str
-    accuracy_to: str
-    mean_c2r: float
-    mean_c2r_floor: float | None
-    mean_r2c: float
-    mean_r2c_floor: float | None
-    d1_c2r: float
-    d1_r2c: float
-    hausdorff: float
-    threshold_scores: tuple[ThresholdScore, ...]
-    notes: tuple[str, ...]
-    comparison: dict[str, Any]
-
-    @property
-    def chamfer(self) -> float:
-        """Sum of the two mean distances, in the reference's unit."""
-        return self.mean_c2r + self.mean_r2c
-
-    def row(self) -> dict[str, Any]:
-        """Return the entries for bench.json: columns of bench.csv, scores per threshold and the complete comparison."""
-        values = {
-            f.name: getattr(self, f.name)
-            for f in fields(self)
-            if f.name not in ("threshold_scores", "notes", "comparison")
-        }
-        return {
-            **values,
-            "chamfer": self.chamfer,
-            **asdict(self.threshold_scores[-1]),
-            "thresholds": [asdict(at) for at in self.threshold_scores],
-            "notes": list(self.notes),
-            "comparison": self.comparison,
-        }
+        thresholds.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
+    return tuple(thresholds)
 
 
 def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: Path) -> Score:
@@ -269,13 +188,11 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
         InputError: the cloud cannot be measured.
         RegistrationError: the cloud cannot be registered.
     """
-    truth, rules = protocol.truth, protocol.rules
-    chosen = (
-        choose_alignment(reconstruction, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    )
+    truth, method = protocol.truth, protocol.method
+    chosen = choose_alignment(reconstruction, truth.cameras) if method is None else Alignment(method.text)
     settings = Settings(
-        register=chosen.method if chosen.transform is None else chosen.transform,
-        crop=rules.crop,
+        register=chosen.transform or method or chosen.method,
+        crop=protocol.region or "none",
         thresholds=tuple(t.length for t in protocol.thresholds),
     )
     comparison = compare(truth.cloud, {"cloud": reconstruction.cloud}, settings)
@@ -296,17 +213,21 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
             metrics.hausdorff.accuracy.largest,
         )
     )
+    thresholds = tuple(_threshold_scores(protocol, to_truth, error_free))
+    mean_back = _require(metrics.mean_distance.completeness.value)
     return Score(
+        **vars(thresholds[-1]),
         registration=chosen.method,
         accuracy_to="surface" if by_surface else "points",
         mean_c2r=mean,
         mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
-        mean_r2c=_require(metrics.mean_distance.completeness.value),
+        mean_r2c=mean_back,
         mean_r2c_floor=metrics.mean_distance.completeness.floor,
         d1_c2r=square,
         d1_r2c=_require(metrics.d1_mse.completeness.value),
+        chamfer=mean + mean_back,
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
-        threshold_scores=tuple(_threshold_scores(protocol, to_truth, error_free)),
+        thresholds=thresholds,
         notes=(
             *chosen.notes,
             *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),

@@ -84,11 +84,11 @@ class Truth:
             normals = self.surface.normals()[faces]
         sizes = []
         for camera in self.cameras.values():
-            found = pixel_sizes(camera, points)
-            seen = np.isfinite(found)
+            camera_sizes = pixel_sizes(camera, points)
+            seen = np.isfinite(camera_sizes)
             if index is not None and normals is not None:
                 seen = sees(index, camera, points, normals)
-            sizes.append(found[seen])
+            sizes.append(camera_sizes[seen])
         all_sizes = np.concatenate(sizes) if sizes else np.empty(0)
         return float(np.median(all_sizes)) if len(all_sizes) else None
 

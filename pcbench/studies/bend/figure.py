@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from pcbench.extras import require
-from pcbench.io.files import atomic_write
 from pcbench.report.colors import ranges, robust_maximum
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
+from pcbench.scratch import atomic_write
 from pcbench.studies.bend.results import KIND, BendStudy, SolutionResult, measured_bends
+from pcbench.studies.frame.canvas import GREY, blank_figure, draw_profile, open_frame, plain_log_ticks
 
 _COLORS = (
     "#000000",
@@ -31,7 +32,6 @@ _COLORS = (
     "#999999",
     "#b5a000",
 )
-_GREY = "#777777"
 _MAP_COLUMNS = 6
 _SMALL_BEND_SHARE = 0.1
 _MAX_ZOOM_SHARE = 0.5  # of the largest displacement drawn: small deformations have a separate panel below it
@@ -67,17 +67,14 @@ def draw_bend(study: BendStudy, path: Path) -> None:
         OSError: the file cannot be written.
     """
     require("matplotlib.figure")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
 
     unit = study.unit or "units"
     rows = [row for row in study.rows if row.cells]
     colors = {row.name: _COLORS[k % len(_COLORS)] for k, row in enumerate(rows)}
     map_rows = -(-len(rows) // _MAP_COLUMNS)
-    figure = Figure(figsize=(15, 5.8 + 2.7 * map_rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure((15, 5.8 + 2.7 * map_rows))
     parts: Any = figure.subfigures(2, 1, height_ratios=[5.8, max(2.7 * map_rows, 0.1)])
     upper, lower = parts
     sizes = {row.name: bend.rms or 0.0 for row, bend in measured_bends(rows)}
@@ -106,7 +103,7 @@ def draw_bend(study: BendStudy, path: Path) -> None:
             axis.set_title(row.name, fontsize=9, color=colors[row.name])
             axis.set_aspect("equal")
             axis.tick_params(labelsize=7)
-            axis.spines[["top", "right"]].set_visible(False)
+            open_frame(axis)
         for axis in axes[len(rows) :]:
             axis.axis("off")
         scale = ScalarMappable(Normalize(-limit, limit), "coolwarm")
@@ -129,20 +126,17 @@ def _highest(rows: Sequence[SolutionResult]) -> float:
 
 
 def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str, title: str) -> None:
-    axis.axhline(0, color=_GREY, linewidth=0.8)
+    axis.axhline(0, color=GREY, linewidth=0.8)
     for row in rows:
         growth = None if row.truth is None or row.truth.growth is None else row.truth.growth.with_distance
         if growth is None:
             continue
-        at, mean, null = np.array([(place.at, place.mean, place.null) for place in growth.profile]).T
-        color = colors[row.name]
-        axis.fill_between(at, -null, null, color=color, alpha=0.12, linewidth=0)
-        axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=row.name)
+        draw_profile(axis, growth, colors[row.name], row.name)
     axis.set_xlabel(f"horizontal distance from the centre [{unit}]")
     axis.set_ylabel(f"vertical displacement against the truth [{unit}]")
     axis.set_title(title, fontsize=10, loc="left")
     axis.grid(alpha=0.25)
-    axis.spines[["top", "right"]].set_visible(False)
+    open_frame(axis)
 
 
 def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
@@ -150,8 +144,6 @@ def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, 
 
     The axes are logarithmic: zeros are at their left and lower ends.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     points = [
         (row.lens_error_px, bend.rms, bend.ci, bend, row)
         for row, bend in measured_bends(rows)
@@ -168,12 +160,10 @@ def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, 
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    for scale in (axis.xaxis, axis.yaxis):
-        scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        scale.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        scale.set_minor_formatter(NullFormatter())
+    plain_log_ticks(axis.xaxis)
+    plain_log_ticks(axis.yaxis)
     axis.set_xlabel("lens error, RMS [px]; at the left: no error")
     axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]; at the bottom: 0")
     axis.set_title("By lens error (hollow: noise; squares: control points)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
-    axis.spines[["top", "right"]].set_visible(False)
+    open_frame(axis)

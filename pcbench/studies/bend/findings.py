@@ -97,7 +97,7 @@ def measure_solutions(
         seed: random seed for the folds of the cross-validation.
         step: progress callback.
     """
-    first: tuple[str, Cloud] | None = None
+    standard: tuple[str, Cloud] | None = None
     rows = []
     for number, solution in enumerate(solutions, 1):
         name, cloud, k = solution.variant.name, solution.cloud, solution.intrinsics
@@ -111,14 +111,14 @@ def measure_solutions(
             notes=solution.notes,
         )
         if cloud is not None:
-            found, placed = _measure_deformation(truth, cloud, "similarity", seed)
+            verdict, placed = _measure_deformation(truth, cloud, "similarity", seed)
             mutual = None
-            if first is None:
-                first = name, placed
+            if standard is None:
+                standard = name, placed
             else:
                 # Both are registered to the truth already. A dome of metres leaves sparse points without matches.
                 mutual = MutualVerdict.from_deformation(
-                    _measure_deformation(first[1], placed, "none", seed)[0], against=first[0]
+                    _measure_deformation(standard[1], placed, "none", seed)[0], against=standard[0]
                 )
             errors = cloud.attributes.get("reprojection_error")
             row = replace(
@@ -127,9 +127,9 @@ def measure_solutions(
                 reprojection_error=None if errors is None else float(np.mean(errors)),
                 lens=None if k is None else Lens.from_intrinsics(k),
                 lens_error_px=None if k is None else intrinsics_error(k, intrinsics),
-                truth=BendVerdict.from_deformation(found),
+                truth=BendVerdict.from_deformation(verdict),
                 mutual=mutual,
-                cells=_cells(found),
+                cells=_cells(verdict),
             )
         rows.append(row)
     return tuple(rows)
@@ -163,13 +163,13 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     """
     sentences = _conclusions(rows, unit)
     first = next(sentences)
-    known = measured_bends(rows)
-    if doubtful := [repr(row.name) for row, bend in known if bend.conditional]:
+    measured = measured_bends(rows)
+    if doubtful := [repr(row.name) for row, bend in measured if bend.conditional]:
         if len(doubtful) == 1:
             condition = f"the pose of {doubtful[0]} is right (its registration is doubtful)"
         else:
-            some = join_words(doubtful) if len(doubtful) == 2 else f"{len(doubtful)} of {len(known)} solutions"
-            poses = "the poses" if len(doubtful) == len(known) else f"the poses of {some}"
+            some = join_words(doubtful) if len(doubtful) == 2 else f"{len(doubtful)} of {len(measured)} solutions"
+            poses = "the poses" if len(doubtful) == len(measured) else f"the poses of {some}"
             condition = f"{poses} are right (the registrations are doubtful)"
         first = f"If {condition}, {first[0].lower()}{first[1:]}"
     yield first
@@ -177,12 +177,12 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
 
 
 def _conclusions(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
-    known = measured_bends(rows)
-    if not known:
+    measured = measured_bends(rows)
+    if not measured:
         yield "No solution could be evaluated."
         return
-    if not any(bend.is_bent for _, bend in known):
-        open_ = [row.name for row, bend in known if bend.verdict == "undecided"]
+    if not any(bend.is_bent for _, bend in measured):
+        open_ = [row.name for row, bend in measured if bend.verdict == "undecided"]
         if open_:
             yield f"It is undecided whether these solutions are deformed: {', '.join(map(repr, open_))}."
         else:
@@ -264,10 +264,10 @@ def _bend_cells(bend: BendVerdict | None) -> tuple[object, ...]:
 def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
     """Return the verdict and the registered candidate."""
     try:
-        registration, found = deform(reference, candidate, method, seed=seed)
+        registration, deformation = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
         return Deformation.undecided_because(Notice("not-registered", record_error(error))), candidate
-    return found, candidate.transformed(registration.T_reference_candidate)
+    return deformation, candidate.transformed(registration.T_reference_candidate)
 
 
 class _BendChange(NamedTuple):

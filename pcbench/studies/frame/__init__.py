@@ -1,4 +1,4 @@
-"""What all studies share: their folder, runs, records, rates, charts, tables and pages.
+"""The frame of all studies: their folder, runs, records, rates, charts, tables and pages.
 
 A study of many runs takes hours. All studies therefore work in the same way:
 

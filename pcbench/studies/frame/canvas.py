@@ -7,10 +7,13 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from pcbench.io.files import atomic_write
+import numpy as np
+
+from pcbench.deformation import Trend
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture
 from pcbench.report.plot.panels import drawing_style, save
+from pcbench.scratch import atomic_write
 
 FIGURES = "figures"  # folder of a study's pictures
 DPI = 110
@@ -87,6 +90,13 @@ def plain_log_ticks(scale: Any) -> None:
     scale.set_major_locator(LogLocator(subs=subs, numticks=20))
     scale.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     scale.set_minor_formatter(NullFormatter())
+
+
+def draw_profile(axis: Any, trend: Trend, color: str, label: str) -> None:
+    """Draw the means of a trend's bins, and the band that contains 95 % of the means under noise alone."""
+    at, mean, null = np.array([(place.at, place.mean, place.null) for place in trend.profile]).T
+    axis.fill_between(at, -null, null, color=color, alpha=0.12, linewidth=0)
+    axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=label)
 
 
 def percent_axis(axis: Any) -> None:

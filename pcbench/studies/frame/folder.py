@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pcbench.errors import InputError, describe_damage
-from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.io.json_values import from_json, json_values
-from pcbench.scratch import lock_output
+from pcbench.regular_files import read_json, read_json_object
+from pcbench.scratch import atomic_write, lock_output
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -52,14 +52,24 @@ class StudyKind(Generic[Study]):
             InputError: the document has another schema or is damaged.
             OSError: it cannot be read.
         """
-        path = folder / self.document
-        values = read_json(path)
-        if not isinstance(values, dict) or values.get("schema") != self.schema:
-            raise InputError(f"{path}: expected the schema {self.schema}")
+        values = self.read_values(folder)
         try:
             return from_json(self.results, values)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{path}: the file is damaged: {describe_damage(error)}: run the study again") from error
+            damage = describe_damage(error)
+            raise InputError(f"{folder / self.document}: the file is damaged: {damage}: run the study again") from error
+
+    def read_values(self, folder: Path) -> dict[str, Any]:
+        """Read the document of a folder as JSON values.
+
+        Raises:
+            InputError: it has another schema.
+            OSError: it cannot be read.
+        """
+        values = read_json(folder / self.document)
+        if not isinstance(values, dict) or values.get("schema") != self.schema:
+            raise InputError(f"{folder / self.document}: expected the schema {self.schema}")
+        return values
 
     def fits(self, folder: Path) -> bool:
         """Return whether a folder holds a study of this kind."""

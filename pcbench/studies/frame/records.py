@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pcbench.errors import InputError
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json, json_values, to_json
+from pcbench.regular_files import read_json
 from pcbench.studies.frame.folder import write_files
 
 Result = TypeVar("Result")

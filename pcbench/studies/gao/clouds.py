@@ -2,65 +2,27 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from pcbench.errors import InputError, ReconstructionError, record_error
-from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud, write_cloud
-from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
-from pcbench.io.files import read_json
+from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.json_values import from_json, to_json
 from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.progress import Step
+from pcbench.regular_files import read_json
 from pcbench.scenes import Scene
-from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
+from pcbench.studies.gao.plan import SPARSE, SURFACE, CloudMethod, GaoJob, methods
+from pcbench.studies.gao.results import CAMERAS_FOLDER, CLOUD_FILE, CloudResult
 
-CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"
 _RUN_FILE, _RUNS_FOLDER, WORK_FOLDER = "run.json", "runs", "work"
 _EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0, "field": 240.0}  # rough durations, for progress bars
-
-
-@dataclass(frozen=True)
-class CloudRun:
-    """Result of one method.
-
-    Attributes:
-        method: the method.
-        folder: folder with its cloud and cameras; None if it failed.
-        seconds: wall time of its process.
-        resumed: whether the process resumed an earlier one, so that `seconds` is too short.
-        beside_others: whether it had one thread, and other scenes were processed at the same time.
-        memory_bytes: peak memory of the process; None if unknown.
-        notes: notes of the reconstructor.
-        failure: one line if there is no cloud.
-    """
-
-    method: CloudMethod
-    folder: Path | None = None
-    seconds: float | None = None
-    resumed: bool = False
-    beside_others: bool = False
-    memory_bytes: int | None = None
-    notes: tuple[str, ...] = ()
-    failure: str = ""
-
-    @property
-    def cloud(self) -> Path | None:
-        """File of the cloud; None if the method failed."""
-        return None if self.folder is None else self.folder / CLOUD_FILE
-
-    def cameras(self) -> dict[str, Camera]:
-        """Return the cameras by image name; empty if the method failed."""
-        if self.folder is None:
-            return {}
-        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS_FOLDER)}
 
 
 def make_clouds(
@@ -72,7 +34,7 @@ def make_clouds(
     step: Callable[[Step], None],
     *,
     beside_others: bool = False,
-) -> list[CloudRun]:
+) -> list[CloudResult]:
     """Reconstruct all clouds of a scene, in the order of `methods`; a failure becomes a result with its reason.
 
     Args:
@@ -89,19 +51,20 @@ def make_clouds(
         OSError: a file cannot be written.
     """
     maker = _CloudMaker(job, scene, path, out, unit, step, beside_others)
-    done: list[CloudRun] = []
+    done: dict[str, CloudResult] = {}
     for number, method in enumerate(plan := methods(job)):
         seconds = _EXPECTED_S[method.plugin]
         later = sum(_EXPECTED_S[m.plugin] for m in plan[number + 1 :])
         step(Step(f"{scene.name}: {method.name}", seconds, later))
-        cloud_run = maker.make(method, done)
-        if method.name == SPARSE and cloud_run.cloud is not None:
-            sparse = read_cloud(cloud_run.cloud)
+        same_workspace = [done[other.name] for other in plan[:number] if other.workspace == method.workspace]
+        cloud = maker.make(method, done.get(SPARSE), same_workspace)
+        if method.name == SPARSE and cloud.file is not None:
+            sparse = read_cloud(cloud.file)
             maker = replace(maker, unit=sparse.unit)  # GPS makes solved cameras metric
             if job.crop is not None:
                 check_crop(job.crop, sparse, f"{scene.name}: the sparse cloud's")
-        done.append(cloud_run)
-    return done
+        done[method.name] = cloud
+    return list(done.values())
 
 
 def check_crop(crop: str, cloud: Cloud, label: str) -> None:
@@ -125,12 +88,14 @@ class _CloudMaker:
     step: Callable[[Step], None]
     beside_others: bool
 
-    def make(self, method: CloudMethod, earlier_runs: Sequence[CloudRun]) -> CloudRun:
-        sparse = next((run for run in earlier_runs if run.method.name == SPARSE), None)
+    def make(
+        self, method: CloudMethod, sparse: CloudResult | None, same_workspace: Sequence[CloudResult]
+    ) -> CloudResult:
+        """Return the cloud of a method, without evaluations; `same_workspace` are earlier clouds of its workspace."""
         if sparse is not None and self.job.poses == "solve" and sparse.folder is None:
-            return CloudRun(method, failure=f"no cameras: {sparse.failure}")
-        if failed := next((m for m in earlier_runs if m.method.workspace == method.workspace and m.failure), None):
-            return CloudRun(method, failure=failed.failure)
+            return _failed(method, f"no cameras: {sparse.failure}")
+        if failed := next((cloud for cloud in same_workspace if cloud.failure), None):
+            return _failed(method, failed.failure)
         solved = sparse.folder if sparse is not None and self.job.poses == "solve" else None
         for folder_name in (_RUNS_FOLDER, WORK_FOLDER):
             (self.out / folder_name).mkdir(exist_ok=True)
@@ -144,15 +109,12 @@ class _CloudMaker:
         try:
             folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
         except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
-            return CloudRun(method, failure=record_error(error))
-        record: Mapping[str, Any] = read_json(folder / _RUN_FILE)
-        return CloudRun(method, folder, **{**record, "notes": tuple(record["notes"])})
+            return _failed(method, record_error(error))
+        return replace(from_json(CloudResult, read_json(folder / _RUN_FILE)), folder=folder)
 
     def _run(self, method: CloudMethod, solved: Path | None, target: Path) -> None:
-        workspace, start_mark = (
-            self.out / WORK_FOLDER / method.workspace,
-            self.out / WORK_FOLDER / f"{method.name}.begun",
-        )
+        workspace = self.out / WORK_FOLDER / method.workspace
+        start_mark = self.out / WORK_FOLDER / f"{method.name}.begun"
         resumed = start_mark.exists()
         start_mark.touch()
         cameras = "auto" if solved is None else str(solved / CAMERAS_FOLDER)
@@ -169,11 +131,18 @@ class _CloudMaker:
             cloud = replace(cloud, unit=self.unit)
         write_cloud(target / CLOUD_FILE, cloud)
         write_colmap_model(target / CAMERAS_FOLDER, list(result.cameras.values()))
-        record = {
-            "seconds": outcome.wall_s,
-            "resumed": resumed,
-            "beside_others": self.beside_others,
-            "memory_bytes": outcome.peak_rss_bytes,
-            "notes": [*outcome.warnings, *result.notes],
-        }
-        (target / _RUN_FILE).write_text(json.dumps(record, indent=1), encoding="utf-8")
+        record = CloudResult(
+            name=method.name,
+            points=len(cloud),
+            seconds=outcome.wall_s,
+            resumed=resumed,
+            memory_bytes=outcome.peak_rss_bytes,
+            extra=method.name == SURFACE,
+            notes=(*outcome.warnings, *result.notes),
+            beside_others=self.beside_others,
+        )
+        (target / _RUN_FILE).write_text(to_json(record), encoding="utf-8")
+
+
+def _failed(method: CloudMethod, reason: str) -> CloudResult:
+    return CloudResult(method.name, extra=method.name == SURFACE, failure=reason)

@@ -18,13 +18,13 @@ from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.contents import digest
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json, to_json
 from pcbench.measure.presets import Gao2025
 from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.plugins.stages import stage
 from pcbench.registration import Target, local_origin, register
+from pcbench.regular_files import read_json
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import ReferenceEvaluation

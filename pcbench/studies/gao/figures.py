@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.deformation import Deformation, Trend
+from pcbench.deformation import Trend
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
+from pcbench.studies.frame.canvas import GREY, canvas, draw_profile, handles_by_label, plain_log_ticks
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import KIND, TRUTH, GaoStudy, SceneResult, references
 
@@ -31,8 +32,8 @@ _COLORS = {
 }  # palette of Okabe and Ito
 _MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D", FIELD: "v"}
 _MIN_ELEVATION_SHARE = 0.4  # height of the elevation, as a share of its width
-_GREY, _CAMERA_COLOR, _FOCUS_COLOR = "#777777", "#0072b2", "#d55e00"
-_THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
+_CAMERA_COLOR, _FOCUS_COLOR = "#0072b2", "#d55e00"
+_THIN_LINE = {"color": GREY, "alpha": 0.25, "linewidth": 0.8}
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -51,7 +52,7 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
 
     Each scene has one row.
     """
-    figure, axes = _canvas(len(scenes), 2, (6.6, 4.6))
+    figure, axes = canvas(len(scenes), 2, (6.6, 4.6), dpi=DPI)
     for (above, side), scene in zip(axes, scenes, strict=True):
         positions = np.array(scene.positions)
         place = None if scene.looked_at is None else np.array(scene.looked_at)
@@ -102,7 +103,7 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
     columns = _references(study)
     if not columns:
         return False
-    figure, axes = _canvas(1, len(columns), (6.4, 5.0), share=True)
+    figure, axes = canvas(1, len(columns), (6.4, 5.0), dpi=DPI, share=True)
     unit = study.unit or _UNKNOWN_UNIT
     for axis, reference in zip(axes[0], columns, strict=True):
         for scene in study.scenes:
@@ -125,7 +126,9 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
         axis.grid(alpha=0.25, which="both")
         axis.margins(0.15)
         axis.tick_params(labelbottom=True, labelleft=True)
-    _plain_ticks(axes)
+    for axis in axes.ravel():
+        plain_log_ticks(axis.xaxis)
+        plain_log_ticks(axis.yaxis)
     _legend(figure, axes, "lower left is better; lines connect sparse, splats' centres and their surface")
     save(figure, path)
     return True
@@ -137,23 +140,24 @@ def draw_growth(study: GaoStudy, path: Path) -> bool:
     columns = [(reference, which) for reference in _references(study) for which in along]
     if not columns:
         return False
-    figure, axes = _canvas(len(study.scenes), len(columns), (4.6, 3.6))
+    figure, axes = canvas(len(study.scenes), len(columns), (4.6, 3.6), dpi=DPI)
     drawn = False
     for line, scene in zip(axes, study.scenes, strict=True):
         unit = scene.unit or _UNKNOWN_UNIT
         for axis, (reference, which) in zip(line, columns, strict=True):
             for cloud in scene.clouds:
                 of = cloud.evaluation(reference)
-                trend = None if of is None or of.deformation is None else _trend(of.deformation, which)
+                growth = None if of is None or of.deformation is None else of.deformation.growth
+                trend: Trend | None = None if growth is None else getattr(growth, which)
                 if trend is not None:
-                    _draw_profile(axis, trend, _COLORS[cloud.name], cloud.name)
+                    draw_profile(axis, trend, _COLORS[cloud.name], cloud.name)
                     drawn = True
             if reference == TRUTH and scene.cameras is not None and scene.cameras.surface is not None:
                 alone = getattr(scene.cameras.surface, which)
                 axis.plot(
                     *zip(*alone, strict=True), color=_COLORS[_CAMERAS_ALONE], linestyle="--", label=_CAMERAS_ALONE
                 )
-            axis.axhline(0, color=_GREY, linewidth=0.8)
+            axis.axhline(0, color=GREY, linewidth=0.8)
             axis.set(xlabel=f"{along[which]} [{unit}]", ylabel=f"vertical displacement [{unit}]")
             axis.set_title(f"{scene.name}, against {reference}", fontsize=11, loc="left")
             axis.grid(alpha=0.25)
@@ -169,8 +173,8 @@ def _references(study: GaoStudy) -> list[str]:
 
 def _ring_radii(across: FloatArray) -> list[float]:
     """Return the radii that several cameras share; empty if cameras are not on circles."""
-    found, counts = np.unique(across.round(1), return_counts=True)
-    shared = found[counts > 1]
+    radii, counts = np.unique(across.round(1), return_counts=True)
+    shared = radii[counts > 1]
     return [float(radius) for radius in shared] if counts[counts > 1].sum() > 0.8 * len(across) else []
 
 
@@ -180,48 +184,9 @@ def _parse_sphere(region: str) -> list[float] | None:
     return [float(word) for word in numbers.split(",")] if kind == "sphere" else None
 
 
-def _trend(bend: Deformation, which: str) -> Trend | None:
-    trend: Trend | None = None if bend.growth is None else getattr(bend.growth, which)
-    return trend
-
-
-def _draw_profile(axis: Any, trend: Trend, color: str, name: str) -> None:
-    at, mean, null = (np.array([getattr(row, key) for row in trend.profile]) for key in ("at", "mean", "null"))
-    axis.fill_between(at, -null, null, color=color, alpha=0.1, linewidth=0)
-    axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=name)
-
-
-def _canvas(rows: int, columns: int, size: tuple[float, float], *, share: bool = False) -> tuple[Any, Any]:
-    """Create a figure and its axes (rows, columns)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    shape = (columns * size[0], rows * size[1] + 0.6)
-    figure = Figure(figsize=shape, dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=share, sharey=share)
-    for axis in axes.ravel():
-        axis.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _plain_ticks(axes: Any) -> None:
-    """Write plain numbers on logarithmic axes, which may cover less than a decade."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in axes.ravel():
-        for scale in (axis.xaxis, axis.yaxis):
-            scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            scale.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            scale.set_minor_formatter(NullFormatter())
-
-
 def _legend(figure: Any, axes: Any, note: str = "") -> None:
     """Draw one legend entry per cloud, below all panels."""
-    named: dict[str, Any] = {}
-    for axis in axes.ravel():
-        handles, labels = axis.get_legend_handles_labels()
-        named |= dict(zip(labels, handles, strict=True))
+    named = handles_by_label(axes.ravel())
     ordered = {name: named[name] for name in _COLORS if name in named}
     if ordered:
         title = {"title": note, "title_fontsize": 9} if note else {}

@@ -15,6 +15,7 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region, parse_region
 from pcbench.io import read_cloud
+from pcbench.io.json_values import to_json
 from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
@@ -28,7 +29,7 @@ from pcbench.studies.frame.cells import map_cells
 from pcbench.studies.frame.folder import MARK, check_folder, folders_by_name, study_folder, write_files
 from pcbench.studies.frame.publish import StudyOutcome, publish
 from pcbench.studies.gao.cameras import camera_errors, cameras_in_cloud_frame
-from pcbench.studies.gao.clouds import WORK_FOLDER, CloudRun, check_crop, make_clouds
+from pcbench.studies.gao.clouds import WORK_FOLDER, check_crop, make_clouds
 from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_against, visible_truth
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.injection import inject_deformations
@@ -48,16 +49,17 @@ from pcbench.studies.gao.plan import (
 from pcbench.studies.gao.results import (
     KIND,
     TRUTH,
-    CloudResult,
     GaoStudy,
     InjectedDeformation,
     NewViews,
+    ReferenceEvaluation,
     SceneResult,
 )
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures
 from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
-from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_files, score_views
+from pcbench.studies.views.scores import KIND as SCORES
+from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, scores_csv
 from pcbench.tasks import Workers
 
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
@@ -149,10 +151,10 @@ def _run(
     scenes: list[SceneResult] = []
     reports: list[Path] = []
     rendered: dict[tuple[str, str], Path] = {}
-    for found in outcomes:
-        scenes.append(found.result)
-        reports += found.reports
-        rendered |= {(found.result.name, workspace): views for workspace, views in found.views.items()}
+    for scene_outcome in outcomes:
+        scenes.append(scene_outcome.result)
+        reports += scene_outcome.reports
+        rendered |= {(scene_outcome.result.name, name): views for name, views in scene_outcome.views.items()}
     views = _score_views(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
     of_splats = {name: _new_views(scene) for (name, workspace), scene in scored.items() if workspace == SPLAT}
@@ -199,11 +201,12 @@ def _run_scene(job: GaoJob, cell: _SceneCell, scene_step: Callable[[str], None])
     out.mkdir(exist_ok=True)
     truth = _truth_file(path)
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
-    made = make_clouds(job, scene, path, out, unit, scene_step, beside_others=beside_others)
-    solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
+    clouds = make_clouds(job, scene, path, out, unit, scene_step, beside_others=beside_others)
+    made = {cloud.name: cloud for cloud in clouds}
+    solved = made[SPARSE].cameras() if job.poses == "solve" else {}
     cameras = list(cameras_in_cloud_frame(solved, scene.cameras).values())
     crop = job.crop or default_region(cameras)
-    files = {m.method.name: m.cloud for m in made if m.cloud is not None}
+    files = {cloud.name: cloud.file for cloud in clouds if cloud.file is not None}
     if SPARSE in files:
         unit = read_cloud(files[SPARSE]).unit  # GPS makes solved cameras metric
     evaluations: dict[str, CloudEvaluation] = {}
@@ -230,10 +233,12 @@ def _run_scene(job: GaoJob, cell: _SceneCell, scene_step: Callable[[str], None])
         region=crop,
         cameras=camera_errors(solved, scene.cameras, _crop_truth(references[TRUTH], crop)) if solved else None,
         references={reference: of.counts for reference, of in evaluations.items() if of.counts is not None},
-        clouds=tuple(_cloud_result(m, evaluations) for m in made),
+        clouds=tuple(replace(cloud, against=_against(cloud.name, evaluations)) for cloud in clouds),
         injected=injected,
     )
-    rendering = [m.method.workspace for m in made if m.cloud is not None and m.method.workspace in (SPLAT, FIELD)]
+    rendering = [
+        method.workspace for method in methods(job) if method.name in files and method.workspace in (SPLAT, FIELD)
+    ]
     views = {workspace: find_views(out / WORK_FOLDER / workspace) for workspace in rendering}
     reports = [of.folder for of in evaluations.values() if of.folder is not None]
     return _SceneOutcome(result, reports, {workspace: folder for workspace, folder in views.items() if folder})
@@ -248,21 +253,9 @@ def _crop_truth(truth: Path | None, crop: str) -> Cloud | None:
     return cloud if region is None else cloud.select(np.flatnonzero(region.contains(cloud.points)))
 
 
-def _cloud_result(made: CloudRun, evaluations: Mapping[str, CloudEvaluation]) -> CloudResult:
-    name = made.method.name
-    against = [of.clouds[name] for of in evaluations.values() if name in of.clouds]
-    return CloudResult(
-        name=name,
-        points=None if made.cloud is None else len(read_cloud(made.cloud)),
-        seconds=made.seconds,
-        resumed=made.resumed,
-        beside_others=made.beside_others,
-        memory_bytes=made.memory_bytes,
-        extra=name == SURFACE,
-        against=tuple(against),
-        notes=made.notes,
-        failure=made.failure,
-    )
+def _against(name: str, evaluations: Mapping[str, CloudEvaluation]) -> tuple[ReferenceEvaluation, ...]:
+    """Return the evaluations of one cloud, one per reference."""
+    return tuple(of.clouds[name] for of in evaluations.values() if name in of.clouds)
 
 
 def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:
@@ -271,7 +264,8 @@ def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]
         return None
     study = score_views(folders, step)
     (out / _VIEWS_FOLDER).mkdir(exist_ok=True)
-    write_files(out / _VIEWS_FOLDER, score_files(study))
+    texts = {"scores.csv": scores_csv(study), SCORES.document: to_json(SCORES.values(study))}
+    write_files(out / _VIEWS_FOLDER, texts)
     return study
 
 

@@ -20,9 +20,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud
 from pcbench.io.contents import digest
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json, to_json
 from pcbench.plugins.stages import stage
+from pcbench.regular_files import read_json
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import InjectedDeformation
 
@@ -53,8 +53,8 @@ def inject_deformations(
     }
 
     def make(folder: Path) -> None:
-        found = _inject(read_cloud(reference), {name: read_cloud(path) for name, path in clouds.items()}, crop, seed)
-        (folder / _RESULTS_FILE).write_text(to_json(found), encoding="utf-8")
+        results = _inject(read_cloud(reference), {name: read_cloud(path) for name, path in clouds.items()}, crop, seed)
+        (folder / _RESULTS_FILE).write_text(to_json(results), encoding="utf-8")
 
     values = read_json(stage(out, "injected", key, make) / _RESULTS_FILE)
     return tuple(from_json(InjectedDeformation, each) for each in values)
@@ -74,15 +74,15 @@ def _inject(reference: Cloud, clouds: Mapping[str, Cloud], crop: str, seed: int)
             return None
 
     usual = {name: assess(reference, cloud) for name, cloud in clouds.items()}
-    found = []
+    results = []
     for share in _SHARES:
         rms = float(f"{share * field.half_width:.1g}")  # the same in scenes of about the same size
         for name, cloud in clouds.items():
             verdicts = {**usual, name: assess(reference, field.add_to(cloud, rms))}
-            found.append(_result(name, rms, verdicts))
+            results.append(_result(name, rms, verdicts))
         deformed = field.add_to(reference, rms)
-        found.append(_result(MVS, rms, {name: assess(deformed, cloud) for name, cloud in clouds.items()}))
-    return found
+        results.append(_result(MVS, rms, {name: assess(deformed, cloud) for name, cloud in clouds.items()}))
+    return results
 
 
 class _GrowingDisplacement:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pcbench.deformation import Deformation
+from pcbench.geometry.cameras import Camera
+from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
 from pcbench.studies.frame.folder import StudyKind
 from pcbench.studies.gao.plan import MVS
 
+CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"  # of a reconstruction
 TRUTH = "truth"  # the second reference, next to mvs
 
 
@@ -69,6 +73,7 @@ class CloudResult:
         notes: notes of the reconstructor.
         failure: why there is no cloud.
         beside_others: whether it had one thread, and other scenes were processed at the same time.
+        folder: folder with the cloud and its cameras; None if there is no cloud, and after reading.
     """
 
     name: str
@@ -81,6 +86,18 @@ class CloudResult:
     notes: tuple[str, ...] = ()
     failure: str = ""
     beside_others: bool = False
+    folder: Path | None = field(default=None, compare=False, metadata={"json": False})
+
+    @property
+    def file(self) -> Path | None:
+        """File of the cloud; None if there is none."""
+        return None if self.folder is None else self.folder / CLOUD_FILE
+
+    def cameras(self) -> dict[str, Camera]:
+        """Read the cameras of the cloud by image name; empty if there is no cloud."""
+        if self.folder is None:
+            return {}
+        return {camera.name: camera for camera in read_colmap_cameras(self.folder / CAMERAS_FOLDER)}
 
     def evaluation(self, reference: str) -> ReferenceEvaluation | None:
         """Return the evaluation against a reference; None if there is none or it failed."""

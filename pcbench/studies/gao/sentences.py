@@ -102,11 +102,11 @@ def _deformations(study: GaoStudy) -> Iterator[str]:
     if not verdicts:
         return
     deformed = [
-        name if len(study.scenes) == 1 else f"{name} (in {found.count(_BENT_VERDICT)} of {len(found)} scenes)"
-        for name, found in verdicts.items()
-        if _BENT_VERDICT in found
+        name if len(study.scenes) == 1 else f"{name} (in {cases.count(_BENT_VERDICT)} of {len(cases)} scenes)"
+        for name, cases in verdicts.items()
+        if _BENT_VERDICT in cases
     ]
-    undecided = sum(found.count("undecided") for found in verdicts.values())
+    undecided = sum(cases.count("undecided") for cases in verdicts.values())
     total = sum(map(len, verdicts.values()))
     rest = f"; {undecided} of {total} verdicts are undecided, or hold only if the pose is right" if undecided else ""
     what = f"{join_words(deformed)} {'is' if len(deformed) == 1 else 'are'}" if deformed else "no cloud is"

@@ -18,13 +18,15 @@ import numpy as np
 from pcbench.deformation.parts import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from pcbench.studies.stress.ladders import LADDERS, Ladder, displaced
 from pcbench.studies.stress.scenes import GIVEN, SCENES, SHAPES, WOODED, StressPair, degenerate_pair, scene_pair
 from pcbench.studies.stress.subject import CRASH, LOCAL, RunResult
 from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 from pcbench.studies.stress.surfaces import DEGENERATE
 from pcbench.systems import peak_memory_since_reset, reset_peak_memory
+
+RECORDS = "runs"  # folder of the records of a study
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,10 @@ class RunPlan:
         level = f"{self.level:g}" if self.second is None else f"{self.level:g}x{self.second:g}"
         parts = (self.subject, self.ladder, level, self.scene, self.method, str(self.seed))
         return "_".join("".join(c if c.isalnum() or c in ".-" else "-" for c in part) for part in parts)
+
+    def record(self, out: Path) -> Path:
+        """Return the path of its record in the folder of a study."""
+        return out / RECORDS / f"{self.stem}.json"
 
 
 def plan_runs(

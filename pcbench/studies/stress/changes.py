@@ -16,21 +16,17 @@ from pcbench.geometry.normals import Surface
 from pcbench.registration import register
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
-    GREEN,
-    ORANGE,
-    RED,
     RIGHT,
-    SUCCESS,
     UNNAMED,
     WRONG,
-    Cell,
-    Method,
+    Group,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -43,7 +39,7 @@ MIN_CHANGE_SIZE, MIN_CHANGE_POINTS = 10.0, 30
 
 
 @dataclass(frozen=True)
-class ChangeCell(Cell):
+class ChangeCell(StressCell):
     """Result of one search for changes.
 
     Attributes:
@@ -117,11 +113,7 @@ def _register_and_name(pair: StressPair) -> list[NamedChange]:
     return name_changes(pair.reference, registration.T_reference_candidate.apply(pair.candidate))
 
 
-CHANGE_METHODS = by_name(Method("changes", _register_and_name))
-
-
-def _ask(method: str, pair: StressPair, _: int) -> list[NamedChange]:
-    return CHANGE_METHODS[method].run(pair)
+CHANGE_METHODS = by_name(StressMethod("changes", _register_and_name))
 
 
 def _judge(answer: Sequence[NamedChange], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
@@ -149,16 +141,16 @@ CHANGES = PairSubject(
     key="changes",
     cell=ChangeCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(UNNAMED, "not named", ORANGE, CONFIDENT),
-        Outcome(WRONG, "wrong with confidence", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(UNNAMED, "not named", Group.CONFIDENT),
+        Outcome(WRONG, "wrong with confidence", Group.CONFIDENT),
         *ENDS,
     ),
     legend=f"unnamed: no change is reported at its place; wrong: of another kind, or reported elsewhere; {COST_LEGEND}",
     success="rightly named changes [% of runs]",
     charts=("outcomes", "matrix", "severity"),
     methods=CHANGE_METHODS,
-    ask=_ask,
+    ask=lambda method, pair, _: CHANGE_METHODS[method].run(pair),
     judge=_judge,
     warm_up=_register_and_name,
     start=(1.0, 0.005),

@@ -15,7 +15,7 @@ from pcbench.studies.stress.limits import StressRow, Tally, coverage, grouped, s
 from pcbench.studies.stress.metrics import METRICS
 from pcbench.studies.stress.registration import PRESETS, REGISTRATION, RegistrationCell
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import CONFIDENT, GLOBAL, LOCAL, SUCCESS, Subject
+from pcbench.studies.stress.subject import GLOBAL, LOCAL, Group, Subject
 from pcbench.studies.stress.subjects import SUBJECTS
 from pcbench.studies.stress.verdicts import NON_AFFINE, VERDICTS
 
@@ -140,9 +140,9 @@ def speed_chart(study: StressStudy) -> Any | None:
         styles = row_styles(rows)
         for row in rows:
             tally = Tally.of(row.cells)
-            confident = tally.of_groups(subject, CONFIDENT)
+            confident = tally.of_groups(subject, Group.CONFIDENT)
             seconds = max(tally.cpu_s or 0.0, 1e-3)
-            draw_rate(axis, seconds, tally.of_groups(subject, SUCCESS), styles[row.name], size=8)
+            draw_rate(axis, seconds, tally.of_groups(subject, Group.SUCCESS), styles[row.name], size=8)
             scope = f" ({row.method.scope})" if row.method.scope == GLOBAL and row.name != GLOBAL else ""
             label = f"{row.name}{scope}: {percent(confident.share)} silently wrong"
             style = styles[row.name]
@@ -301,11 +301,11 @@ def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow[Any]], 
         places = [
             (at + shift, Tally.of(by_level[level])) for at, level in enumerate(ladder.levels) if level in by_level
         ]
-        shares = [100 * tally.of_groups(row.subject, SUCCESS).share for _, tally in places]
+        shares = [100 * tally.of_groups(row.subject, Group.SUCCESS).share for _, tally in places]
         axis.plot([at for at, _ in places], shares, **style.line_style())
         for at, tally in places:
-            solid = not tally.of_groups(row.subject, CONFIDENT).count
-            draw_rate(axis, at, tally.of_groups(row.subject, SUCCESS), style, filled=solid, bars=bars)
+            solid = not tally.of_groups(row.subject, Group.CONFIDENT).count
+            draw_rate(axis, at, tally.of_groups(row.subject, Group.SUCCESS), style, filled=solid, bars=bars)
         axis.plot([], [], marker=style.marker, label=row.name, **style.line_style())
     axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
     axis.set_xlabel(axis_title(ladder.title, ladder.unit))

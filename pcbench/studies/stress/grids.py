@@ -12,9 +12,8 @@ from pcbench.studies.stress.descriptions import LadderInfo, axis_title
 from pcbench.studies.stress.limits import Tally, grouped, ladder_success, stress_rows
 from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import CONFIDENT, DARK_GREY, GREEN, RED, SUCCESS, Subject
+from pcbench.studies.stress.subject import Group, Subject
 
-_DARK_COLORS = (GREEN, RED, DARK_GREY)  # of bars whose text is white
 _MAX_MAP_COLUMNS = 4
 _MIN_LABEL_SHARE = 0.04  # of a bar's length, for a number inside it
 _DARK_SHARE = 0.55  # failures beyond which the text of a cell is white
@@ -37,8 +36,8 @@ def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
                 continue
             place = (ladder.second_levels.index(second), ladder.levels.index(level))
             tally = Tally.of(cells)
-            shares[place] = 100 * tally.of_groups(REGISTRATION, SUCCESS).share
-            silent = tally.of_groups(REGISTRATION, CONFIDENT).count
+            shares[place] = 100 * tally.of_groups(REGISTRATION, Group.SUCCESS).share
+            silent = tally.of_groups(REGISTRATION, Group.CONFIDENT).count
             text = f"{shares[place]:.0f}" + (f"\n!{silent}" if silent else "")
             color = "black" if shares[place] > 50 else "white"
             axis.text(place[1], place[0], text, ha="center", va="center", fontsize=8, color=color)
@@ -72,9 +71,10 @@ def outcome_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
             share = tally.rate(outcome.name).share
             axis.barh(line, 100 * share, left=100 * left, height=0.7, color=outcome.color)
             if share >= _MIN_LABEL_SHARE:
-                color = "white" if outcome.color in _DARK_COLORS else "black"
                 place = 100 * (left + 0.5 * share)
-                axis.text(place, line, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
+                axis.text(
+                    place, line, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=outcome.text_color
+                )
             left += share
     labels = [f"{row.name} ({len(row.cells):,} runs)" for row in rows]
     axis.set_yticks(range(len(rows)), labels, fontsize=9)
@@ -106,7 +106,7 @@ def matrix_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
             tally = Tally.of(groups[ladder.name])
             share = 1 - ladder_success(tally, ladder, subject).share
             failed[line, column] = 100 * share
-            confident = tally.of_groups(subject, CONFIDENT)
+            confident = tally.of_groups(subject, Group.CONFIDENT)
             text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")
             color = "white" if share > _DARK_SHARE else "black"
             axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=1.15)

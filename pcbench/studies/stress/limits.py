@@ -13,7 +13,7 @@ from pcbench.report.words import join_words
 from pcbench.studies.frame.rates import Rate
 from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import CONFIDENT, SAID_SO, SUCCESS, C, Cell, Subject
+from pcbench.studies.stress.subject import C, Group, StressCell, Subject
 
 MIN_SAFE_SHARE = 0.9
 """Smallest share of successes at each level of a safe range."""
@@ -39,7 +39,7 @@ class Tally:
     memory_bytes: int | None
 
     @classmethod
-    def of(cls, cells: Iterable[Cell]) -> Tally:
+    def of(cls, cells: Iterable[StressCell]) -> Tally:
         """Count the outcomes of cells."""
         group = list(cells)
         counts: dict[str, int] = {}
@@ -53,8 +53,8 @@ class Tally:
         """Return the share of the cells with any of these outcomes."""
         return Rate(sum(self.counts.get(outcome, 0) for outcome in outcomes), self.total)
 
-    def of_groups(self, subject: Subject[Any], *groups: str) -> Rate:
-        """Return the share of the cells whose outcomes are in groups, such as `SUCCESS`."""
+    def of_groups(self, subject: Subject[Any], *groups: Group) -> Rate:
+        """Return the share of the cells whose outcomes are in groups, such as `Group.SUCCESS`."""
         return self.rate(*subject.named(*groups))
 
 
@@ -97,14 +97,12 @@ class SafeRange:
     Attributes:
         ladder: the ladder.
         safe_levels: number of safe levels.
-        within: outcomes at the safe levels.
-        beyond: outcomes at the others.
+        beyond: cells of the other levels.
     """
 
     ladder: LadderInfo
     safe_levels: int
-    within: Tally
-    beyond: Tally
+    beyond: tuple[StressCell, ...]
 
     @property
     def level(self) -> float | None:
@@ -116,11 +114,6 @@ class SafeRange:
         """Return whether all levels are safe."""
         return self.safe_levels == len(self.ladder.levels)
 
-    @property
-    def share(self) -> float:
-        """Share of the levels that are safe."""
-        return self.safe_levels / len(self.ladder.levels)
-
 
 @dataclass(frozen=True)
 class SafeStart:
@@ -130,15 +123,11 @@ class SafeStart:
         ladder: the map.
         level: last safe level; None if the easiest corner is not safe.
         second: last safe second coordinate.
-        within: outcomes inside.
-        beyond: outcomes outside.
     """
 
     ladder: LadderInfo
     level: float | None
     second: float | None
-    within: Tally
-    beyond: Tally
 
 
 def stress_rows(study: StressStudy, subject: Subject[C]) -> list[StressRow[C]]:
@@ -176,34 +165,32 @@ def ladder_success(tally: Tally, ladder: LadderInfo, subject: Subject[Any]) -> R
 
     Cases may have no right result: then a method has to say so.
     """
-    return tally.of_groups(subject, SUCCESS, *([SAID_SO] if ladder.is_list else []))
+    return tally.of_groups(subject, Group.SUCCESS, *([Group.SAID_SO] if ladder.is_list else []))
 
 
 def is_safe(tally: Tally, subject: Subject[Any]) -> bool:
     """Return whether enough runs succeed and none is wrong with confidence."""
-    good, confident = tally.of_groups(subject, SUCCESS), tally.of_groups(subject, CONFIDENT)
+    good, confident = tally.of_groups(subject, Group.SUCCESS), tally.of_groups(subject, Group.CONFIDENT)
     return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
 
 
-def coverage(cells: Iterable[Cell]) -> Rate:
+def coverage(cells: Iterable[StressCell]) -> Rate:
     """Return the share of intervals that contain the truth."""
     covers = [cell.covers for cell in cells if cell.covers is not None]
     return Rate(sum(covers), len(covers))
 
 
-def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeRange:
+def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[StressCell]) -> SafeRange:
     by_level = grouped(cells, lambda cell: cell.level)
     safe = 0
     for level in ladder.levels:
         if not is_safe(Tally.of(by_level.get(level, ())), subject):
             break
         safe += 1
-    levels = ladder.levels[:safe]
-    within, beyond = ([c for c in cells if (c.level in levels) is inside] for inside in (True, False))
-    return SafeRange(ladder, safe, Tally.of(within), Tally.of(beyond))
+    return SafeRange(ladder, safe, tuple(cell for cell in cells if cell.level in ladder.levels[safe:]))
 
 
-def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeStart:
+def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[StressCell]) -> SafeStart:
     by_place = grouped(cells, lambda cell: (cell.level, cell.second))
     safe = {place for place, group in by_place.items() if is_safe(Tally.of(group), subject)}
     best = (0, 0)
@@ -215,11 +202,9 @@ def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]
         # Equal areas: the rectangle nearer to a square has the larger smaller side.
         best = max(best, (rows, width), key=lambda size: (size[0] * size[1], min(size)))
     rows, width = best
-    inner = {(level, second) for level in ladder.levels[:rows] for second in ladder.second_levels[:width]}
-    within, beyond = ([c for c in cells if ((c.level, c.second) in inner) is inside] for inside in (True, False))
-    last = ladder.levels[rows - 1] if inner else None
-    second = ladder.second_levels[width - 1] if inner else None
-    return SafeStart(ladder, last, second, Tally.of(within), Tally.of(beyond))
+    if not rows or not width:
+        return SafeStart(ladder, None, None)
+    return SafeStart(ladder, ladder.levels[rows - 1], ladder.second_levels[width - 1])
 
 
 def limit_text(limit: SafeRange) -> str:
@@ -232,7 +217,7 @@ def limit_text(limit: SafeRange) -> str:
     return f"{way} {ladder.level_text(limit.level)} ({ladder.title}{rest})"
 
 
-def ladder_counts(study: StressStudy, cells: Iterable[Cell], outcome: str) -> str:
+def ladder_counts(study: StressStudy, cells: Iterable[StressCell], outcome: str) -> str:
     """Return the ladders where an outcome occurs, most frequent first, with counts; cases of a list by name."""
     counts: Counter[str] = Counter()
     for cell in cells:

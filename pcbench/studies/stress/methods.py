@@ -22,7 +22,7 @@ from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import register
 from pcbench.studies.stress.scenes import extent_of
-from pcbench.studies.stress.subject import GLOBAL, LOCAL, Method, by_name
+from pcbench.studies.stress.subject import GLOBAL, LOCAL, StressMethod, by_name
 
 _MAX_DISTANCE_SHARES = (0.1, 0.03, 0.01)  # maximum correspondence distances over the extent
 _FEATURE_SHARE = 0.015  # voxel of features over the extent
@@ -223,18 +223,20 @@ def _judged(matrix: FloatArray, fitness: float, *, converged: bool = True) -> Po
 
 
 _O3D, _SG, _KISS, _FRICP = "open3d", "small_gicp", "kiss-matcher", "fricp-cpp"
-METHODS: dict[str, Method[Register]] = by_name(
-    Method("icp", _ours("icp"), scope=LOCAL),
-    Method("icp-point", _ours("icp-point"), scope=LOCAL, is_quick=False),
-    Method("similarity", _ours("similarity"), scope=LOCAL, is_quick=False),
-    Method("global", _ours("global"), modules=("kiss_matcher",), scope=GLOBAL),
-    Method("global-similarity", _ours("global-similarity"), modules=("kiss_matcher",), scope=GLOBAL, is_quick=False),
-    Method("Open3D plane", _open3d_icp("plane"), _O3D, ("open3d",), LOCAL),
-    Method("Open3D GICP", _open3d_icp("GICP"), _O3D, ("open3d",), LOCAL, is_quick=False),
-    Method("small_gicp plane", _small_gicp("PLANE_ICP"), _SG, ("small_gicp",), LOCAL),
-    Method("small_gicp GICP", _small_gicp("GICP"), _SG, ("small_gicp",), LOCAL),
-    Method("robust ICP", _fricp, _FRICP, ("fricp_cpp", "open3d"), LOCAL, is_quick=False),
-    Method("Open3D FGR", _open3d_features("FGR"), _O3D, ("open3d",), GLOBAL, is_quick=False),
-    Method("Open3D RANSAC", _open3d_features("RANSAC"), _O3D, ("open3d",), GLOBAL, is_quick=False),
-    Method("KISS-Matcher", _kiss, _KISS, ("kiss_matcher", "open3d"), GLOBAL, is_quick=False),
+METHODS: dict[str, StressMethod[Register]] = by_name(
+    StressMethod("icp", _ours("icp"), scope=LOCAL),
+    StressMethod("icp-point", _ours("icp-point"), scope=LOCAL, is_quick=False),
+    StressMethod("similarity", _ours("similarity"), scope=LOCAL, is_quick=False),
+    StressMethod("global", _ours("global"), modules=("kiss_matcher",), scope=GLOBAL),
+    StressMethod(
+        "global-similarity", _ours("global-similarity"), modules=("kiss_matcher",), scope=GLOBAL, is_quick=False
+    ),
+    StressMethod("Open3D plane", _open3d_icp("plane"), _O3D, ("open3d",), LOCAL),
+    StressMethod("Open3D GICP", _open3d_icp("GICP"), _O3D, ("open3d",), LOCAL, is_quick=False),
+    StressMethod("small_gicp plane", _small_gicp("PLANE_ICP"), _SG, ("small_gicp",), LOCAL),
+    StressMethod("small_gicp GICP", _small_gicp("GICP"), _SG, ("small_gicp",), LOCAL),
+    StressMethod("robust ICP", _fricp, _FRICP, ("fricp_cpp", "open3d"), LOCAL, is_quick=False),
+    StressMethod("Open3D FGR", _open3d_features("FGR"), _O3D, ("open3d",), GLOBAL, is_quick=False),
+    StressMethod("Open3D RANSAC", _open3d_features("RANSAC"), _O3D, ("open3d",), GLOBAL, is_quick=False),
+    StressMethod("KISS-Matcher", _kiss, _KISS, ("kiss_matcher", "open3d"), GLOBAL, is_quick=False),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,21 +17,17 @@ from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    BLUE,
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
-    GREEN,
-    RED,
     RIGHT,
     SAID,
     SILENT,
-    SUCCESS,
-    Cell,
-    Method,
+    Group,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -46,7 +42,7 @@ MAX_FLOOR_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class MetricCell(Cell):
+class MetricCell(StressCell):
     """Result of one metric.
 
     A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below
@@ -67,11 +63,6 @@ class MetricCell(Cell):
     interval: tuple[float, float] | None = None
 
     @property
-    def ratio(self) -> float | None:
-        """Value over exact value; None without a value."""
-        return None if self.value is None or not self.exact > 0 else self.value / self.exact
-
-    @property
     def covers(self) -> bool | None:
         """Return whether the interval contains the exact value; None without an interval.
 
@@ -82,8 +73,7 @@ class MetricCell(Cell):
         return self.interval[0] <= self.exact <= self.interval[1]
 
 
-@dataclass(frozen=True)
-class MeasuredValue:
+class MeasuredValue(NamedTuple):
     """A metric from the candidate to the reference, in the clouds' unit, with floor and 95 % interval if there are."""
 
     value: float | None
@@ -157,15 +147,11 @@ def _value(estimate: Estimate, *, root: bool = False) -> MeasuredValue:
     return MeasuredValue(plain(estimate.value), plain(estimate.floor), interval)
 
 
-METRIC_METHODS: dict[str, Method[Callable[[StressPair, int], dict[str, MeasuredValue]]]] = by_name(
-    Method("pcbench", _ours),
-    Method("Open3D", _open3d, "open3d", ("open3d",)),
-    Method("point-cloud-utils", _point_cloud_utils, "point-cloud-utils", ("point_cloud_utils",)),
+METRIC_METHODS: dict[str, StressMethod[Callable[[StressPair, int], dict[str, MeasuredValue]]]] = by_name(
+    StressMethod("pcbench", _ours),
+    StressMethod("Open3D", _open3d, "open3d", ("open3d",)),
+    StressMethod("point-cloud-utils", _point_cloud_utils, "point-cloud-utils", ("point_cloud_utils",)),
 )
-
-
-def _ask(method: str, pair: StressPair, seed: int) -> dict[str, MeasuredValue]:
-    return METRIC_METHODS[method].run(pair, seed)
 
 
 def _judge(answer: Mapping[str, MeasuredValue], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
@@ -177,10 +163,8 @@ def _judge(answer: Mapping[str, MeasuredValue], pair: StressPair, values: Mappin
                 **values,
                 outcome=outcome_of(measured, exact[name]),
                 metric=name,
-                value=measured.value,
                 exact=exact[name],
-                floor=measured.floor,
-                interval=measured.interval,
+                **measured._asdict(),
             )
             for name, measured in answer.items()
         )
@@ -194,9 +178,9 @@ METRICS = PairSubject(
     key="metrics",
     cell=MetricCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(SAID, "off, but explained by floor or interval", BLUE, SUCCESS),
-        Outcome(SILENT, "silently wrong", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(SAID, "off, but explained by floor or interval", Group.SUCCESS),
+        Outcome(SILENT, "silently wrong", Group.CONFIDENT),
         *ENDS,
     ),
     legend=f"said: wrong, but explained by the floor or the interval; silent: wrong and not explained; {COST_LEGEND}",
@@ -204,7 +188,7 @@ METRICS = PairSubject(
     charts=("outcomes", "matrix", "coverage", "severity"),
     row=lambda cell: f"{cell.method}, {cell.metric}",
     methods=METRIC_METHODS,
-    ask=_ask,
+    ask=lambda method, pair, seed: METRIC_METHODS[method].run(pair, seed),
     judge=_judge,
     warm_up=lambda pair: _ours(pair, 0),
     cells_of=lambda method: [{"method": method, "metric": name} for name in NAMES],

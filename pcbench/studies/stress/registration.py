@@ -15,26 +15,19 @@ from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSE
 from pcbench.studies.stress.methods import METHODS, PoseResult
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    BLUE,
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
     FALSE_ALARM,
     GLOBAL,
-    GREEN,
-    PALE_GREEN,
-    RED,
     REFUSED,
     RIGHT,
     SAID,
-    SAID_SO,
     SILENT,
-    SUCCESS,
-    YELLOW,
-    Cell,
+    Group,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
 )
 
 _UNOBSERVABLE_CODES = {UNOBSERVABLE, WEAKLY_OBSERVABLE}
@@ -59,7 +52,7 @@ PRESETS = (Preset("indoor", 0.3, 15.0), Preset("outdoor", 2.0, 5.0), Preset("ETH
 
 
 @dataclass(frozen=True)
-class RegistrationCell(Cell):
+class RegistrationCell(StressCell):
     """Result of one registration.
 
     Attributes:
@@ -93,10 +86,6 @@ class RegistrationCell(Cell):
         if self.offset_error is None or self.angle_error_deg is None:
             return False
         return self.offset_error <= preset.offset and self.angle_error_deg <= preset.angle_deg
-
-
-def _ask(method: str, pair: StressPair, seed: int) -> PoseResult:
-    return METHODS[method].run(pair.reference, pair.candidate, seed)
 
 
 def _judge(answer: PoseResult, pair: StressPair, values: Mapping[str, Any]) -> RunResult:
@@ -171,11 +160,11 @@ REGISTRATION = PairSubject(
     key="registrations",
     cell=RegistrationCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(FALSE_ALARM, "right, but doubted", PALE_GREEN, SUCCESS),
-        Outcome(REFUSED, "refused, though findable", YELLOW, SAID_SO),
-        Outcome(SAID, "wrong and said so", BLUE, SAID_SO),
-        Outcome(SILENT, "silently wrong", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(FALSE_ALARM, "right, but doubted", Group.SUCCESS),
+        Outcome(REFUSED, "refused, though findable", Group.SAID_SO),
+        Outcome(SAID, "wrong and said so", Group.SAID_SO),
+        Outcome(SILENT, "silently wrong", Group.CONFIDENT),
         *ENDS,
     ),
     legend="false-alarm: right, but doubted; refused: no pose, although another method found one; said: wrong and"
@@ -183,7 +172,7 @@ REGISTRATION = PairSubject(
     success="right poses [% of runs]",
     charts=("outcomes", "matrix", "recall", "basin", "profiles", "speed", "severity"),
     methods=METHODS,
-    ask=_ask,
+    ask=lambda method, pair, seed: METHODS[method].run(pair.reference, pair.candidate, seed),
     judge=_judge,
     warm_up=lambda pair: register(pair.reference, pair.points),
     needs_scene=False,

@@ -22,6 +22,7 @@ from pcbench.tasks import Workers
 
 SCHEMA = "pcbench.stress/1"
 DOCUMENT = "stress.json"
+RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
 
 
 @dataclass(frozen=True)

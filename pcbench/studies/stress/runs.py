@@ -20,7 +20,7 @@ from pcbench.io.json_values import from_json
 from pcbench.plugins.code import digest_files, plugin_files
 from pcbench.studies.frame.cells import MEMORY_ADVICE
 from pcbench.studies.frame.records import read_record, write_record
-from pcbench.studies.stress.cells import RunPlan, failed_run
+from pcbench.studies.stress.cells import RECORDS, RunPlan, failed_run
 from pcbench.studies.stress.child import MISSING_LIBRARY
 from pcbench.studies.stress.subject import CRASH, TIME_OUT, RunResult
 from pcbench.studies.stress.subjects import PAIR_SUBJECTS
@@ -28,7 +28,7 @@ from pcbench.systems import cpu_count, signal_name
 from pcbench.tasks import Task, TaskRunner, Workers
 from pcbench.threads import ONE_THREAD
 
-RECORDS, WORK = "runs", "work"  # folders of records and of temporary files
+WORK = "work"  # folder of temporary files
 _CHILD = "pcbench.studies.stress.child"
 _KILLED = "SIGKILL"  # message of a run whose process was killed, as by a system without memory
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
@@ -72,10 +72,6 @@ class RunSettings:
         given = None if self.given is None else self.given.absolute()
         return replace(self, out=self.out.absolute(), given=given)
 
-    def record(self, plan: RunPlan) -> Path:
-        """Return the path of a run's record."""
-        return self.out / RECORDS / f"{plan.stem}.json"
-
     def key(self, plan: RunPlan, code: str) -> dict[str, Any]:
         """Return all inputs that a run's result depends on."""
         library = PAIR_SUBJECTS[plan.subject].methods[plan.method].library
@@ -107,7 +103,7 @@ def run_all(
         (settings.out / name).mkdir(exist_ok=True)
     code = code_digest()
     keys = {plan: settings.key(plan, code) for plan in plans}
-    missing = [plan for plan in plans if not _is_final(_read(settings.record(plan), keys[plan], plan))]
+    missing = [plan for plan in plans if not _is_final(_read(plan.record(settings.out), keys[plan], plan))]
     smallest, largest = _BATCH_RUNS
     batches = _batches(missing, min(largest, max(smallest, len(missing) // (4 * (workers.count or cpu_count())))))
     tasks = [
@@ -121,9 +117,9 @@ def run_all(
         shutil.rmtree(settings.out / WORK, ignore_errors=True)  # without its batch, a child ends after its run
     results = []
     for plan in plans:
-        result = _read(settings.record(plan), keys[plan], plan)
+        result = _read(plan.record(settings.out), keys[plan], plan)
         if result is None:
-            raise InputError(f"{settings.record(plan)}: the record of a run was removed: run the study again")
+            raise InputError(f"{plan.record(settings.out)}: the record of a run was removed: run the study again")
         results.append(result)
     return results
 
@@ -163,7 +159,7 @@ def _run_batch(
     current = file.with_suffix(".at")
     while remaining:
         rows = [
-            {"plan": asdict(plan), "record": str(settings.record(plan).absolute()), "key": keys[plan]}
+            {"plan": asdict(plan), "record": str(plan.record(settings.out).absolute()), "key": keys[plan]}
             for plan in remaining
         ]
         given = None if settings.given is None else str(settings.given.absolute())
@@ -184,7 +180,7 @@ def _run_batch(
         else:
             text = signal_name(-ended.code) if ended.code < 0 else ended.last_error_line
             result = failed_run(plan, CRASH, text or f"exit code {ended.code}")
-        write_record(settings.record(plan), keys[plan], result)
+        write_record(plan.record(settings.out), keys[plan], result)
         remaining = remaining[number + 1 :]
     file.unlink(missing_ok=True)
     current.unlink(missing_ok=True)

@@ -7,7 +7,8 @@ by those of other libraries. Wrong with confidence and withheld although right a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -17,18 +18,16 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.contents import digest
-from pcbench.io.json_values import to_json
 from pcbench.report.document import provenance
-from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.plot import Drawn
 from pcbench.studies.frame.folder import check_folder, study_folder
-from pcbench.studies.frame.publish import draw_here, write_report, write_results
+from pcbench.studies.frame.publish import StudyOutcome, draw_here, publish
 from pcbench.studies.stress.cells import RunPlan, load_pair, plan_runs, save_pair
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.descriptions import MethodInfo, MissingMethod, SceneInfo
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.page import article
-from pcbench.studies.stress.results import DOCUMENT, KIND, StressSettings, StressStudy
+from pcbench.studies.stress.results import DOCUMENT, KIND, RENDERED, StressSettings, StressStudy
 from pcbench.studies.stress.runs import RunSettings, run_all
 from pcbench.studies.stress.scenes import (
     GIVEN,
@@ -41,14 +40,13 @@ from pcbench.studies.stress.scenes import (
     scene_pair,
 )
 from pcbench.studies.stress.subject import RunResult
-from pcbench.studies.stress.subjects import PAIR_SUBJECTS, SUBJECTS
-from pcbench.studies.stress.table import stress_table
-from pcbench.studies.stress.words import sentences
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
+from pcbench.studies.stress.table import stress_csv, stress_table
+from pcbench.studies.stress.words import answer, warnings
 from pcbench.studies.stress.worst import save_worst
 from pcbench.tasks import Workers
 
 CSV, TABLE = "stress.csv", "stress.txt"
-RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
 _GIVEN_FILE = "given.npz"
 # What a study perturbs.
 SYNTHETIC_SCENES, GIVEN_PAIR, PHOTOGRAPHS = "the built-in scenes", "a pair of clouds", "photographs"
@@ -60,16 +58,6 @@ class GivenClouds:
 
     reference: Cloud
     candidate: Cloud
-
-
-@dataclass(frozen=True)
-class StressOutcome:
-    """A study, its table as text, and why requested charts or the page are missing, or None."""
-
-    study: StressStudy
-    table: str
-    without_figures: str | None
-    without_page: str | None
 
 
 @dataclass(frozen=True)
@@ -126,7 +114,7 @@ def run_stress(
     plan: StressPlan | None = None,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> StressOutcome:
+) -> StudyOutcome[StressStudy]:
     """Run the study and write report.html, stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
 
     The records of all runs stay in its folder `runs`; a later run with the same settings resumes from
@@ -202,7 +190,7 @@ def check_study(out: Path, subject: str) -> None:
 
 def write_study(
     out: Path, study: StressStudy, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
-) -> StressOutcome:
+) -> StudyOutcome[StressStudy]:
     """Write all files of a study to its folder.
 
     Args:
@@ -214,35 +202,14 @@ def write_study(
     Raises:
         OSError: a file cannot be written.
     """
-    study = replace(study, sentences=sentences(study))
-    table = stress_table(study)
-    write_results(out, KIND, {CSV: csv_text(study), TABLE: f"{table}\n", DOCUMENT: to_json(KIND.values(study))})
-    drawn = Drawn([])
-    if figures:
+    study = replace(study, sentences=(*answer(study), *warnings(study)))
+
+    def draw() -> Drawn:
         step("drawing charts")
-        drawn = draw_here(lambda: draw_charts(study, out))
-    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
-    return StressOutcome(study, table, drawn.problem, without_page)
+        return draw_here(lambda: draw_charts(study, out))
 
-
-def csv_text(study: StressStudy) -> str:
-    """Return all cells as CSV, one line each; columns that a subject lacks are empty."""
-    names = list(dict.fromkeys(field.name for subject in SUBJECTS.values() for field in fields(subject.cell)))
-    rows = []
-    for subject in study.subjects():
-        for cell in study.cells(subject):
-            values = {field.name: _csv_value(getattr(cell, field.name)) for field in fields(cell)}
-            rows.append([subject.name, *(values.get(name) for name in names)])
-    return csv_of(["subject", *names], rows)
-
-
-def _csv_value(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, tuple):
-        texts = [str(item) for item in value]
-        return ("; " if any(" " in text for text in texts) else " ").join(texts)
-    return "" if value != value else str(value)
+    texts = {CSV: stress_csv(study), TABLE: f"{stress_table(study)}\n"}
+    return publish(out, KIND, study, texts, draw if figures else None, partial(article, study), study.provenance)
 
 
 def _run_settings(out: Path, settings: StressSettings, pair: StressPair | None) -> RunSettings:

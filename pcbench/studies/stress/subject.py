@@ -1,4 +1,4 @@
-"""What the study asks of a run: the subject, its cells, its outcomes, and the methods that answer.
+"""Subjects of the study: the cells and outcomes of their runs, and the methods that answer.
 
 Registrations, metrics, verdicts and changes are subjects of pairs of clouds, reconstructions one of perturbed
 photographs. Each has a module with its cells, its judge and one object, over which tables, charts and words iterate.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from importlib.util import find_spec
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -29,11 +30,21 @@ DEGRADED = "degraded"  # a poor cloud without a warning
 CRASH = "crash"
 TIME_OUT = "time-out"
 
-# Groups of outcomes.
-SUCCESS, SAID_SO, CONFIDENT, ABORTED = "success", "said so", "wrong with confidence", "aborted"
-
-GREEN, PALE_GREEN, YELLOW, BLUE, ORANGE, RED = "#009e73", "#9fd9c4", "#f0e442", "#56b4e9", "#e69f00", "#d55e00"
-DARK_GREY, GREY = "#333333", "#999999"
+_GREEN, _BLUE, _RED, _BLACK = "#009e73", "#56b4e9", "#d55e00", "#333333"
+_COLORS = {
+    RIGHT: _GREEN,
+    FALSE_ALARM: "#9fd9c4",
+    REFUSED: "#f0e442",
+    SAID: _BLUE,
+    WITHHELD: _BLUE,
+    WARNED: _BLUE,
+    SILENT: _RED,
+    WRONG: _RED,
+    UNNAMED: "#e69f00",
+    DEGRADED: _RED,
+    CRASH: _BLACK,
+    TIME_OUT: "#999999",
+}
 
 # Scopes of a registration method.
 LOCAL = "local"  # starts from the given pose
@@ -42,27 +53,38 @@ GLOBAL = "global"  # needs no initial pose
 COST_LEGEND = "CPU s: median; MiB: largest peak beyond the loaded clouds"
 
 
-class Outcome(NamedTuple):
-    """A way in which a run can end.
+class Group(Enum):
+    """Groups of the outcomes of all subjects."""
 
-    Attributes:
-        name: name in cells and tables.
-        label: what it means, for charts.
-        color: colour in charts.
-        group: `SUCCESS`, `SAID_SO`, `CONFIDENT` or `ABORTED`.
-    """
+    SUCCESS = auto()
+    SAID_SO = auto()
+    CONFIDENT = auto()  # wrong without doubt
+    ABORTED = auto()
+
+
+class Outcome(NamedTuple):
+    """A way in which a run can end: its name in cells and tables, its meaning in charts, and its group."""
 
     name: str
     label: str
-    color: str
-    group: str
+    group: Group
+
+    @property
+    def color(self) -> str:
+        """Colour in charts."""
+        return _COLORS[self.name]
+
+    @property
+    def text_color(self) -> str:
+        """Colour of text on its colour."""
+        return "white" if self.color in (_GREEN, _RED, _BLACK) else "black"
 
 
-ENDS = (Outcome(CRASH, "crash", DARK_GREY, ABORTED), Outcome(TIME_OUT, "time-out", GREY, ABORTED))
+ENDS = (Outcome(CRASH, "crash", Group.ABORTED), Outcome(TIME_OUT, "time-out", Group.ABORTED))
 
 
 @dataclass(frozen=True)
-class Cell:
+class StressCell:
     """One run, and what it cost; the cells of each subject add its result.
 
     Attributes:
@@ -102,12 +124,12 @@ class Cell:
         return None
 
 
-C = TypeVar("C", bound=Cell)
+C = TypeVar("C", bound=StressCell)
 F = TypeVar("F")  # type of the function of a method
 
 
 @dataclass(frozen=True)
-class Method(Generic[F]):
+class StressMethod(Generic[F]):
     """A method of the study.
 
     Attributes:
@@ -142,7 +164,7 @@ class Method(Generic[F]):
         return None
 
 
-def by_name(*methods: Method[F]) -> dict[str, Method[F]]:
+def by_name(*methods: StressMethod[F]) -> dict[str, StressMethod[F]]:
     """Return methods by their names."""
     return {method.name: method for method in methods}
 
@@ -175,7 +197,7 @@ class Subject(Generic[C]):
     charts: tuple[str, ...]
     row: Callable[[C], str] = lambda cell: cell.method
 
-    def named(self, *groups: str) -> tuple[str, ...]:
+    def named(self, *groups: Group) -> tuple[str, ...]:
         """Return the names of the outcomes of groups."""
         return tuple(outcome.name for outcome in self.outcomes if outcome.group in groups)
 
@@ -184,7 +206,7 @@ class Subject(Generic[C]):
 class RunResult:
     """Cells of a run, and for a registration its pose as a 4x4 matrix."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[StressCell, ...]
     pose: list[list[float]] | None = None
 
 
@@ -195,7 +217,7 @@ class PairSubject(Subject[C]):
     Attributes:
         methods: methods by name, the one that is ours first.
         ask: function of the name of a method, a pair and a seed that returns the answer of the method.
-        judge: function of the answer, the pair and the values of `Cell` that compares the answer with the truth.
+        judge: function of the answer, the pair and the values of `StressCell` that compares the answer with the truth.
         warm_up: function of a pair that imports what our own methods import in functions.
         needs_scene: whether the truth is more than a pose, so that a given pair has none.
         start: start of ladders that set none, as an angle in degrees and an offset over the extent; None: the true
@@ -205,7 +227,7 @@ class PairSubject(Subject[C]):
         settle: function that returns all cells of a study with their final outcomes.
     """
 
-    methods: Mapping[str, Method[Any]]
+    methods: Mapping[str, StressMethod[Any]]
     ask: Callable[[str, StressPair, int], Any]
     judge: Callable[[Any, StressPair, Mapping[str, Any]], RunResult]
     warm_up: Callable[[StressPair], object]
@@ -215,7 +237,7 @@ class PairSubject(Subject[C]):
     cells_of: Callable[[str], Iterable[Mapping[str, str]]] = lambda method: [{"method": method}]
     settle: Callable[[Sequence[C]], Sequence[C]] = lambda cells: cells
 
-    def chosen(self, names: Sequence[str], *, quick: bool) -> list[Method[Any]]:
+    def chosen(self, names: Sequence[str], *, quick: bool) -> list[StressMethod[Any]]:
         """Return the methods with given names; without any names, all of them or those of the quick plan."""
         if not names:
             return [method for method in self.methods.values() if method.is_quick or not quick]

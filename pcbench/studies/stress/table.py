@@ -1,9 +1,11 @@
-"""Tables of the stress study: safe limits by ladder, outcomes by method, and recall by the criteria of benchmarks."""
+"""Tables of the stress study, and all its cells as CSV: safe limits by ladder, outcomes by method, and recall."""
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
+from pcbench.report.markup import csv_text
 from pcbench.report.words import UNKNOWN
 from pcbench.studies.frame.rates import Rate, percent
 from pcbench.studies.frame.tables import text_table
@@ -19,7 +21,8 @@ from pcbench.studies.stress.limits import (
 )
 from pcbench.studies.stress.registration import PRESETS, REGISTRATION
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import CONFIDENT, Subject
+from pcbench.studies.stress.subject import Group, Subject
+from pcbench.studies.stress.subjects import SUBJECTS
 
 _METRE = "m"
 LIMITS_LEGEND = (
@@ -56,7 +59,7 @@ def outcome_table(study: StressStudy, subject: Subject[Any]) -> list[list[str]]:
     for row in stress_rows(study, subject):
         tally = Tally.of(row.cells)
         rates = [(outcome, tally.rate(outcome.name)) for outcome in subject.outcomes]
-        shares = [rate.text if outcome.group == CONFIDENT else percent(rate.share) for outcome, rate in rates]
+        shares = [rate.text if outcome.group == Group.CONFIDENT else percent(rate.share) for outcome, rate in rates]
         seconds = UNKNOWN if tally.cpu_s is None else f"{tally.cpu_s:.2g}"
         memory = UNKNOWN if tally.memory_bytes is None else f"{tally.memory_bytes / 2**20:,.0f}"
         table.append([row.name, f"{tally.total:,}", *(text.removesuffix(" %") for text in shares), seconds, memory])
@@ -80,6 +83,17 @@ def preset_table(study: StressStudy) -> list[list[str]]:
     return table if len(table) > 1 else []
 
 
+def stress_csv(study: StressStudy) -> str:
+    """Return all cells as CSV, one line each; columns that a subject lacks are empty."""
+    names = list(dict.fromkeys(field.name for subject in SUBJECTS.values() for field in fields(subject.cell)))
+    rows = []
+    for subject in study.subjects():
+        for cell in study.cells(subject):
+            values = {field.name: _csv_value(getattr(cell, field.name)) for field in fields(cell)}
+            rows.append([subject.name, *(values.get(name) for name in names)])
+    return csv_text(["subject", *names], rows)
+
+
 def _limit_cells(study: StressStudy, row: StressRow[Any]) -> dict[str, str]:
     """Return the text of a row's limit by the name of the ladder, with its number of confident errors."""
     texts = {limit.ladder.name: _limit_cell(limit) for limit in safe_ranges(study, row)}
@@ -92,7 +106,7 @@ def _limit_cells(study: StressStudy, row: StressRow[Any]) -> dict[str, str]:
         tally = Tally.of(cells)
         if name not in texts:
             texts[name] = f"{percent(ladder_success(tally, study.ladder(name), row.subject).share)} right or said"
-        if (confident := tally.of_groups(row.subject, CONFIDENT)).count:
+        if (confident := tally.of_groups(row.subject, Group.CONFIDENT)).count:
             texts[name] += f" !{confident.count}"
     return texts
 
@@ -107,3 +121,12 @@ def _ladder_title(ladder: LadderInfo) -> str:
     """Return the title of a ladder with the units of its levels."""
     first = axis_title(ladder.title, ladder.unit)
     return f"{first}, {axis_title(ladder.second_title, ladder.second_unit)}" if ladder.is_map else first
+
+
+def _csv_value(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        texts = [str(item) for item in value]
+        return ("; " if any(" " in text for text in texts) else " ").join(texts)
+    return "" if value != value else str(value)

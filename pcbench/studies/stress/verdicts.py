@@ -19,22 +19,17 @@ from pcbench.errors import RegistrationError
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    BLUE,
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
-    GREEN,
-    RED,
     RIGHT,
-    SAID_SO,
-    SUCCESS,
     WITHHELD,
     WRONG,
-    Cell,
-    Method,
+    Group,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -52,7 +47,7 @@ MIN_COUNTED_SIZE = 0.25
 
 
 @dataclass(frozen=True)
-class VerdictCell(Cell):
+class VerdictCell(StressCell):
     """Result of one verdict on a deformation.
 
     Attributes:
@@ -187,14 +182,10 @@ def _choice(found: Deformation, model: str) -> VerdictValues:
 
 
 VERDICT_METHODS = by_name(
-    Method(DEFORM, _ours),
-    Method(NAIVE_BIC, _by_bic, "naive"),
-    Method(NAIVE_TILES, _by_tiles, "naive"),
+    StressMethod(DEFORM, _ours),
+    StressMethod(NAIVE_BIC, _by_bic, "naive"),
+    StressMethod(NAIVE_TILES, _by_tiles, "naive"),
 )
-
-
-def _ask(_: str, pair: StressPair, seed: int) -> VerdictRun:
-    return run_deform(pair, seed)
 
 
 def _judge(answer: VerdictRun, pair: StressPair, values: Mapping[str, Any]) -> RunResult:
@@ -213,17 +204,11 @@ def _judge(answer: VerdictRun, pair: StressPair, values: Mapping[str, Any]) -> R
         outcome, failure = outcome_of(verdict, pair.true_rms, noise, pose_is_right=right)
         cells.append(
             VerdictCell(
-                **{**values, "method": name},
+                **{**values, "method": name, **verdict._asdict()},
                 outcome=outcome,
-                codes=verdict.codes,
-                message=verdict.message,
                 failure=failure,
-                verdict=verdict.verdict,
                 true_rms=pair.true_rms,
                 noise=noise,
-                rms=verdict.rms,
-                interval=verdict.interval,
-                limit=verdict.limit,
                 pose_is_right=right,
             )
         )
@@ -237,16 +222,16 @@ VERDICTS = PairSubject(
     key="verdicts",
     cell=VerdictCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(WITHHELD, "withheld", BLUE, SAID_SO),
-        Outcome(WRONG, "wrong with confidence", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(WITHHELD, "withheld", Group.SAID_SO),
+        Outcome(WRONG, "wrong with confidence", Group.CONFIDENT),
         *ENDS,
     ),
     legend=f"withheld: no verdict; wrong: contradicts the truth; {COST_LEGEND}, each for all rules together",
     success="right verdicts [% of runs]",
     charts=("outcomes", "matrix", "sizes", "severity"),
     methods=VERDICT_METHODS,
-    ask=_ask,
+    ask=lambda _, pair, seed: run_deform(pair, seed),
     judge=_judge,
     warm_up=lambda pair: run_deform(pair, 0),
     start=(1.0, 0.005),

@@ -26,22 +26,19 @@ from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION,
 from pcbench.studies.stress.registration import REGISTRATION, RegistrationCell
 from pcbench.studies.stress.results import StressStudy
 from pcbench.studies.stress.subject import (
-    ABORTED,
-    CONFIDENT,
     CRASH,
     GLOBAL,
     LOCAL,
     RIGHT,
     SAID,
-    SAID_SO,
     SILENT,
-    SUCCESS,
     TIME_OUT,
     UNNAMED,
     WITHHELD,
     WRONG,
     C,
-    Cell,
+    Group,
+    StressCell,
     Subject,
 )
 from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHELD_ALTHOUGH_RIGHT
@@ -50,11 +47,6 @@ from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHE
 _HEADLINES = ("start-rotation", "start-offset", "overlap", "noise-gaussian", "background")
 _MAX_HEADLINES = 5
 _NOMINAL_COVERAGE = 0.95
-
-
-def sentences(study: StressStudy) -> tuple[str, ...]:
-    """Return all conclusions as sentences, those on registration first."""
-    return (*answer(study), *warnings(study))
 
 
 def answer(study: StressStudy) -> Iterator[str]:
@@ -138,7 +130,7 @@ def reconstruction_headlines(study: StressStudy) -> Iterator[str]:
         limits += [f"{row.name} {join_words(ranges)}"] if ranges else []
         perturbed = [cell for cell in row.cells if cell.ladder != UNPERTURBED]
         if known and perturbed:
-            silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(CONFIDENT))}")
+            silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(Group.CONFIDENT))}")
     if info is not None and scores:
         yield f"F-score at {info.threshold:.3g} m on the unperturbed scene: {'; '.join(scores)}."
     if limits:
@@ -187,8 +179,7 @@ def _limit_sentence(study: StressStudy, row: StressRow[RegistrationCell]) -> Ite
     unsafe = [limit.ladder.title for limit in chosen if limit.level is None]
     parts = [f"safe {join_words(safe)}"] if safe else []
     parts += [f"not safe at any level of {join_words(unsafe)}"] if unsafe else []
-    levels = [(limit.ladder.name, level) for limit in chosen for level in limit.ladder.levels[limit.safe_levels :]]
-    beyond = Tally.of(cell for cell in row.cells if (cell.ladder, cell.level) in levels)
+    beyond = Tally.of(cell for limit in chosen for cell in limit.beyond)
     end = f"; {'beyond that' if safe else 'there'} it {_failure_words(beyond)}" if beyond.total else ""
     yield f"{row.name}: {', '.join(parts)}{end}."
 
@@ -196,17 +187,17 @@ def _limit_sentence(study: StressStudy, row: StressRow[RegistrationCell]) -> Ite
 def _failure_words(beyond: Tally) -> str:
     """Return how registrations end beyond the safe levels."""
     parts = [
-        f"fails and says so in {percent(beyond.of_groups(REGISTRATION, SAID_SO).share)}",
-        f"is silently wrong in {beyond.of_groups(REGISTRATION, CONFIDENT).text}",
-        f"is right in {percent(beyond.of_groups(REGISTRATION, SUCCESS).share)}",
+        f"fails and says so in {percent(beyond.of_groups(REGISTRATION, Group.SAID_SO).share)}",
+        f"is silently wrong in {beyond.of_groups(REGISTRATION, Group.CONFIDENT).text}",
+        f"is right in {percent(beyond.of_groups(REGISTRATION, Group.SUCCESS).share)}",
     ]
-    aborted = beyond.of_groups(REGISTRATION, ABORTED)
+    aborted = beyond.of_groups(REGISTRATION, Group.ABORTED)
     if aborted.count:
         parts.append(f"crashes or runs out of time in {percent(aborted.share)}")
     return f"{join_words(parts)} of {pluralize(beyond.total, 'run')}"
 
 
-def _count_text(study: StressStudy, cells: Sequence[Cell], outcome: str) -> str:
+def _count_text(study: StressStudy, cells: Sequence[StressCell], outcome: str) -> str:
     """Return how many cells have an outcome, and under which ladders."""
     rate = Tally.of(cells).rate(outcome)
     places = ladder_counts(study, cells, outcome)
@@ -224,7 +215,7 @@ def _failure_sentence(name: str, *failures: tuple[str, Sequence[bool], str]) -> 
         yield f"{name} {'; it '.join(parts)}."
 
 
-def _coverage_sentence(name: str, cells: Iterable[Cell], truth: str) -> Iterator[str]:
+def _coverage_sentence(name: str, cells: Iterable[StressCell], truth: str) -> Iterator[str]:
     """Yield whether the intervals of cells contain the truth as often as they state."""
     covered = coverage(cells)
     if not covered.total:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, rgb
 from pcbench.report.plot.panels import compose
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
 from pcbench.report.words import length
+from pcbench.scratch import atomic_write
 from pcbench.studies.stress.cells import RunPlan, build_pair
 from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.results import SilentFailure, StressStudy

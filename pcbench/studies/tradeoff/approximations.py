@@ -111,20 +111,20 @@ def plan(pair: Pair, settings: TradeoffSettings) -> tuple[list[Approximation], l
         InputError: the settings select none.
     """
     skipped: list[str] = []
-    found: list[Approximation] = []
+    chosen: list[Approximation] = []
     for family in (_thinning, _float32, _search, _normals, _icp, _decimation):
-        found += family(pair, settings, skipped)
-    found = [approximation for approximation in found if settings.selects(approximation.name)]
-    unknown = [text for text in settings.only if not any(text.lower() in one.name.lower() for one in found)]
+        chosen += family(pair, settings, skipped)
+    chosen = [approximation for approximation in chosen if settings.selects(approximation.name)]
+    unknown = [text for text in settings.only if not any(text.lower() in one.name.lower() for one in chosen)]
     reasons = {text: [line for line in skipped if text.lower() in line.lower()] for text in unknown}
-    if not found or not all(reasons.values()):
+    if not chosen or not all(reasons.values()):
         why = "; ".join(dict.fromkeys(line for lines in reasons.values() for line in lines))
         why = f" ({why})" if why else ""
         raise InputError(
             f"no approximation of this pair has {' or '.join(map(repr, unknown))} in its name{why}: name one of"
             f" {', '.join(FAMILIES)}"
         )
-    return found, [line for line in skipped if settings.selects(line)]
+    return chosen, [line for line in skipped if settings.selects(line)]
 
 
 _Skipped = list[str]

@@ -157,12 +157,12 @@ def _bias_curve(
     axis: Any, rows: list[TradeoffRow], kind: str, name: str, style: tuple[str, bool, str, float], label: str
 ) -> None:
     line, is_filled, color, shift = style
-    found = [(row.level, error) for row in rows if (error := getattr(row, kind).get(name)) is not None]
-    if not found:
+    points = [(row.level, error) for row in rows if (error := getattr(row, kind).get(name)) is not None]
+    if not points:
         return
-    x = [100 * shift * level for level, _ in found]
-    y = [100 * error.mean for _, error in found]
-    bars = [[100 * (e.mean - e.low) for _, e in found], [100 * (e.high - e.mean) for _, e in found]]
+    x = [100 * shift * level for level, _ in points]
+    y = [100 * error.mean for _, error in points]
+    bars = [[100 * (e.mean - e.low) for _, e in points], [100 * (e.high - e.mean) for _, e in points]]
     fill = {"markerfacecolor": color if is_filled else "white"}
     axis.errorbar(x, y, bars, color=color, linestyle=line, marker="o", markersize=5, capsize=2, label=label, **fill)
 

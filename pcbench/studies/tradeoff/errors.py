@@ -84,16 +84,16 @@ def _error(values: Sequence[float | None], exact: float) -> ErrorEstimate | None
     The interval assumes normally distributed errors: mean ± t s sqrt(1 + 1/n) (Student's t with n - 1 degrees of
     freedom). Of an exact value of 0, the only relative error is 0.
     """
-    found = [value for value in values if value is not None]
-    if len(found) < len(values) or (exact == 0 and any(found)):
+    measured = [value for value in values if value is not None]
+    if len(measured) < len(values) or (exact == 0 and any(measured)):
         return None
-    known = [0.0 if exact == 0 else _without_rounding(value / exact - 1) for value in found]
-    centre = mean(known)
-    if min(known) == max(known):
+    errors = [0.0 if exact == 0 else _without_rounding(value / exact - 1) for value in measured]
+    centre = mean(errors)
+    if min(errors) == max(errors):
         return ErrorEstimate(centre, centre, centre)
     from scipy.special import stdtrit
 
-    half = float(stdtrit(len(known) - 1, 0.975)) * stdev(known) * math.sqrt(1 + 1 / len(known))
+    half = float(stdtrit(len(errors) - 1, 0.975)) * stdev(errors) * math.sqrt(1 + 1 / len(errors))
     return ErrorEstimate(centre, centre - half, centre + half)
 
 

@@ -118,13 +118,13 @@ def corrected_values(
         floors: their sampling floors, to the thinned clouds.
         shares: by direction, the share of the points that the searched cloud kept.
     """
-    found = {
+    corrected = {
         name: correct_for_thinning(values.get(name), floors.get(name), shares[name.split()[-1]], power)
         for name, power in CORRECTABLE.items()
     }
-    parts = [found[name] for name in MEAN_DISTANCES]
-    known = [part for part in parts if part is not None]
-    return {**found, CHAMFER: sum(known) if len(known) == len(parts) else None}
+    parts = [corrected[name] for name in MEAN_DISTANCES]
+    known_parts = [part for part in parts if part is not None]
+    return {**corrected, CHAMFER: sum(known_parts) if len(known_parts) == len(parts) else None}
 
 
 def correct_for_thinning(value: float | None, floor: float | None, share: float, power: float = 1.0) -> float | None:

@@ -37,7 +37,7 @@ def recommend(study: Tradeoff, groups: Iterable[str]) -> Recommendation:
     if all runs have the exact one.
     """
     asked = tuple(groups)
-    found = [
+    choices = [
         (row.cpu_ratio, corrected, row)
         for row in study.rows
         for corrected in (False, True)
@@ -45,28 +45,28 @@ def recommend(study: Tradeoff, groups: Iterable[str]) -> Recommendation:
         and (row.corrected or not corrected)
         and all(_is_kept(row, group, study.settings.tolerance, corrected=corrected) for group in asked)
     ]
-    if not found:
+    if not choices:
         return Recommendation(asked, None)
-    _, corrected, row = min(found, key=lambda item: item[:2])
+    _, corrected, row = min(choices, key=lambda item: item[:2])
     return Recommendation(asked, row, corrected)
 
 
 def recommendations(study: Tradeoff) -> list[Recommendation]:
     """Return the recommendation for each group that has values; groups with the same approximation are merged."""
     merged: dict[tuple[str, bool], list[str]] = {}
-    found: dict[tuple[str, bool], Recommendation] = {}
+    chosen: dict[tuple[str, bool], Recommendation] = {}
     for group in known_groups(study):
         one = recommend(study, [group])
         key = ("" if one.row is None else one.row.name, one.corrected)
         merged.setdefault(key, []).append(group)
-        found[key] = one
-    return [Recommendation(tuple(merged[key]), one.row, one.corrected) for key, one in found.items()]
+        chosen[key] = one
+    return [Recommendation(tuple(merged[key]), one.row, one.corrected) for key, one in chosen.items()]
 
 
 def known_groups(study: Tradeoff) -> list[str]:
     """Return the groups with a value in the exact answer; the verdict always exists."""
-    known = {GROUP_OF[name] for name, value in study.exact.values.items() if value is not None}
-    return [group for group in GROUPS if group in known or group == DEFORMATION]
+    present = {GROUP_OF[name] for name, value in study.exact.values.items() if value is not None}
+    return [group for group in GROUPS if group in present or group == DEFORMATION]
 
 
 def _is_cheaper(row: TradeoffRow, study: Tradeoff) -> bool:

@@ -166,8 +166,8 @@ class TradeoffRow:
     def group_bound(self, group: str, *, corrected: bool = False) -> float | None:
         """Return the largest absolute error over the metrics of a group; None if one of them is unknown."""
         errors = [e for name, e in self.errors_with(corrected=corrected).items() if GROUP_OF[name] == group]
-        known = [error.bound for error in errors if error is not None]
-        return max(known) if known and len(known) == len(errors) else None
+        bounds = [error.bound for error in errors if error is not None]
+        return max(bounds) if bounds and len(bounds) == len(errors) else None
 
 
 @dataclass(frozen=True)

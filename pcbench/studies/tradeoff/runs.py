@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import package_version
-from pcbench.io.files import read_json_object
 from pcbench.measure.results import Candidate
+from pcbench.regular_files import read_json_object
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.tradeoff.approximations import EXACT, Approximation, Pair
 from pcbench.studies.tradeoff.metrics import (
@@ -123,14 +123,14 @@ def _run(pair: Pair, approximation: Approximation, seed: int) -> ComparisonRun:
     before = reset_peak_memory()
     cpu, wall = _cpu_seconds(), time.perf_counter()
     try:
-        found = approximation.measure(pair, seed)
+        comparison = approximation.measure(pair, seed)
     except PcbenchError as error:
         return ComparisonRun(approximation.name, seed, message=record_error(error))
     except MemoryError as error:
         record_error(error)
         return ComparisonRun(approximation.name, seed, message="it needs more memory than is available")
     peak = peak_memory_since_reset()
-    run = _measured(pair, approximation, seed, found)
+    run = _measured(pair, approximation, seed, comparison)
     return replace(
         run,
         cpu_s=_cpu_seconds() - cpu,
@@ -139,10 +139,10 @@ def _run(pair: Pair, approximation: Approximation, seed: int) -> ComparisonRun:
     )
 
 
-def _measured(pair: Pair, approximation: Approximation, seed: int, found: Candidate) -> ComparisonRun:
-    values = {**metric_values(found.metrics), DEFORMATION_RMS: deformation_rms(found)}
-    floors = metric_floors(found.metrics)
-    points = len(found.completeness.rows), found.points
+def _measured(pair: Pair, approximation: Approximation, seed: int, comparison: Candidate) -> ComparisonRun:
+    values = {**metric_values(comparison.metrics), DEFORMATION_RMS: deformation_rms(comparison)}
+    floors = metric_floors(comparison.metrics)
+    points = len(comparison.completeness.rows), comparison.points
     corrected: Mapping[str, float | None] = {}
     if any(approximation.thinned):
         # The distance c→r is measured to the reference, r→c to the candidate.
@@ -152,7 +152,7 @@ def _measured(pair: Pair, approximation: Approximation, seed: int, found: Candid
             for now, total, is_thinned in zip(points, totals, approximation.thinned, strict=True)
         )
         corrected = corrected_values(values, floors, {"c→r": reference_share, "r→c": candidate_share})
-    return ComparisonRun(approximation.name, seed, values, floors, corrected, found.deformation.verdict, points)
+    return ComparisonRun(approximation.name, seed, values, floors, corrected, comparison.deformation.verdict, points)
 
 
 def _file_stem(name: str) -> str:

@@ -78,8 +78,8 @@ def run_tradeoff(
             records.mkdir(exist_ok=True)
         runs = list(run_all(pair, approximations, settings, records, step))
         exact = exact_answer(pair, runs)
-        found = tuple(rows(approximations, runs, exact))
-        study = Tradeoff(settings, exact, found, tuple(skipped), provenance=provenance(settings.seed))
+        compared = tuple(rows(approximations, runs, exact))
+        study = Tradeoff(settings, exact, compared, tuple(skipped), provenance=provenance(settings.seed))
         study = replace(study, sentences=tuple(answer(study)))
         if out is None:
             return StudyOutcome(study)

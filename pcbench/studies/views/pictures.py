@@ -19,10 +19,10 @@ from pcbench.report.plot.panels import DPI, save
 from pcbench.report.words import join_words
 from pcbench.scenes.views import RenderedView, ViewImages
 from pcbench.studies.frame.folder import unique_name
-from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
+from pcbench.studies.views.scores import KIND, ScoredScene, ScoredView
 
 # Draws the pictures of a folder with scores.json.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,))
 
 # All sizes are in inches.
 _MAX_WIDTH, _MAX_HEIGHT = 4.4, 4.4  # of one picture
@@ -41,7 +41,7 @@ class _Row(NamedTuple):
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the pictures of a folder that `pcbench views` wrote: the worst, median and best view of each scene."""
-    study = read_scores(folder)
+    study = KIND.read(folder)
     return {name: _picture(scene, look) for name, scene in _scenes_by_file_name(study.scenes).items()}
 
 
@@ -88,8 +88,8 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
     """
     rows = [_row(word, scored) for word, scored in views.items()]
     limits = [robust_maximum(row.error[np.isfinite(row.error)]) for row in rows]
-    found = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
-    scale = found if look.range is None else Range(0.0, look.range, "range as set")
+    default = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
+    scale = default if look.range is None else Range(0.0, look.range, "range as set")
     figure, axis, color, height = _canvas(rows, look)
     width = 3 * _MAX_WIDTH + 2 * _GAP
     axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center", parse_math=False)
@@ -113,11 +113,11 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
 
 
 def _row(word: str, scored: ScoredView) -> _Row:
-    found = scored.view.read()
-    error = absolute_error(found.rendering, found.photograph)
-    if found.mask is not None:
-        error[~found.mask] = np.nan
-    return _Row(f"{word}: {_short_name(scored.view)}, {_scores_text(scored.scores)}", found, error)
+    images = scored.view.read()
+    error = absolute_error(images.rendering, images.photograph)
+    if images.mask is not None:
+        error[~images.mask] = np.nan
+    return _Row(f"{word}: {_short_name(scored.view)}, {_scores_text(scored.scores)}", images, error)
 
 
 def _short_name(view: RenderedView) -> str:

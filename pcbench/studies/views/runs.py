@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from pcbench.errors import InputError, Notice, ReconstructionError, record_error
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
 from pcbench.report.document import provenance
-from pcbench.report.plot import Drawn, draw_if_possible
+from pcbench.report.plot import draw_if_possible
 from pcbench.scenes.views import find_views
-from pcbench.studies.frame.folder import StudyKind, check_folder, folders_by_name, study_folder
-from pcbench.studies.frame.publish import write_report, write_results
+from pcbench.studies.frame.folder import check_folder, folders_by_name, study_folder
+from pcbench.studies.frame.publish import StudyOutcome, publish
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import PICTURES
-from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_files, score_views
+from pcbench.studies.views.scores import KIND, ViewStudy, score_views, scores_csv
 
-KIND = StudyKind("views", DOCUMENT, SCHEMA, ViewStudy, "views.md")
 _RUNS_FOLDER = "runs"
 _EXPECTED_SCENE_S = 300.0  # rough duration of rendering a scene, for progress bars
 
@@ -44,18 +44,9 @@ class ViewsJob:
     time_limit: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class ViewsOutcome:
-    """Scores of views, and why requested pictures or the page are missing, or None."""
-
-    study: ViewStudy
-    without_figures: str | None = None
-    without_page: str | None = None
-
-
 def run_views(
     job: ViewsJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
-) -> ViewsOutcome:
+) -> StudyOutcome[ViewStudy]:
     """Render missing views, one scene after another, and measure all views.
 
     A scene without views becomes a note; the others are measured. Renderings stay in `out` and are used again by a
@@ -78,8 +69,8 @@ def run_views(
         (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         folders, failed = [], []
         for number, (name, scene) in enumerate(folders_by_name(job.scenes).items(), 1):
-            if (found := find_views(scene)) is not None:
-                folders.append(found)
+            if (rendered := find_views(scene)) is not None:
+                folders.append(rendered)
                 continue
             step(Step(f"{job.method} {number} of {len(job.scenes)}: {name}", _EXPECTED_SCENE_S))
             try:
@@ -90,11 +81,10 @@ def run_views(
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
         study = ViewStudy(study.scenes, (*failed, *study.notes))
-        write_results(out, KIND, score_files(study))
         step("drawing the pictures" if figures else "writing the page")
-        drawn = draw_if_possible(out, PICTURES) if figures else Drawn([])
-        without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), provenance(None))
-    return ViewsOutcome(study, drawn.problem, without_page)
+        draw = partial(draw_if_possible, out, PICTURES) if figures else None
+        texts = {"scores.csv": scores_csv(study)}
+        return publish(out, KIND, study, texts, draw, partial(article, study), provenance(None))
 
 
 def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:
@@ -108,10 +98,10 @@ def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[s
     run(
         wanted, workspace, job.time_limit, lambda text: step(f"{job.method}, {scene.name}: {text}")
     ).require_reconstruction()
-    found = find_views(workspace)
-    if found is None:
+    rendered = find_views(workspace)
+    if rendered is None:
         raise InputError(f"{job.method} wrote a cloud but no rendered views (pcbench.scenes.views.write_views)")
-    return found
+    return rendered
 
 
 def _check_job(job: ViewsJob, out: Path) -> None:

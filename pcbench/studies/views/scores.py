@@ -11,16 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, Notice
-from pcbench.io.files import read_json
-from pcbench.io.json_values import to_json
+from pcbench.io.json_values import from_json
 from pcbench.measure.images import ViewScores
 from pcbench.measure.perceptual import Perceptual
 from pcbench.progress import Step
 from pcbench.report.markup import csv_text
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
+from pcbench.studies.frame.folder import StudyKind
 
-SCHEMA = "pcbench.view-scores/1"
-DOCUMENT = "scores.json"
 _EXPECTED_VIEW_S = 0.3  # rough duration of measuring a view, for progress bars
 
 
@@ -48,8 +46,8 @@ class ScoredScene:
 
         Views without a score, for example because they are masked entirely, are left out.
         """
-        found = [scored.scores for scored in self.select(test=test)]
-        return mean_scores(found) if found else None
+        chosen = [scored.scores for scored in self.select(test=test)]
+        return mean_scores(chosen) if chosen else None
 
     def standard_error(self) -> float | None:
         """Return the standard error of the mean PSNR of the held-out views, in dB; None for fewer than two blocks.
@@ -116,32 +114,28 @@ def _masked_view_notices(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
             )
 
 
-def score_files(study: ViewStudy) -> dict[str, str]:
-    """Return the texts of `scores.csv`, one row per view, and of `scores.json`, which `read_scores` reads."""
-    notes = [{"code": note.code, "text": note.text} for note in study.notes]
-    document = {"schema": SCHEMA, "scenes": [_scene_values(scene) for scene in study.scenes], "notes": notes}
-    return {"scores.csv": _csv(study), DOCUMENT: to_json(document)}
+class _ViewsKind(StudyKind[ViewStudy]):
+    """The document has names and scores of views; their files are found through their folder."""
+
+    def values(self, study: ViewStudy) -> dict[str, Any]:
+        notes = [{"code": note.code, "text": note.text} for note in study.notes]
+        return {"schema": self.schema, "scenes": [_scene_values(scene) for scene in study.scenes], "notes": notes}
+
+    def read(self, folder: Path) -> ViewStudy:
+        values = self.read_values(folder)
+        scenes = []
+        for row in values["scenes"]:
+            views = read_views(Path(row["folder"]))
+            scores = {view["name"]: _scores(view) for view in row["views"]}
+            if missing := [view.name for view in views.views if view.name not in scores]:
+                raise InputError(
+                    f"{folder / self.document}: expected scores of {missing[0]} too; views were added in {views.folder}"
+                )
+            scenes.append(ScoredScene(views, tuple(scores[view.name] for view in views.views)))
+        return ViewStudy(tuple(scenes), tuple(from_json(Notice, note) for note in values["notes"]))
 
 
-def read_scores(out: Path) -> ViewStudy:
-    """Read the `scores.json` of a folder.
-
-    Raises:
-        InputError: the file has another schema, or its views have changed or are missing.
-    """
-    document = read_json(out / DOCUMENT)
-    if document.get("schema") != SCHEMA:
-        raise InputError(f"{out / DOCUMENT}: expected the schema {SCHEMA}, got {document.get('schema')!r}")
-    scenes = []
-    for row in document["scenes"]:
-        views = read_views(Path(row["folder"]))
-        scores = {view["name"]: _scores(view) for view in row["views"]}
-        if missing := [view.name for view in views.views if view.name not in scores]:
-            raise InputError(
-                f"{out / DOCUMENT}: expected scores of {missing[0]} too; views were added in {views.folder}"
-            )
-        scenes.append(ScoredScene(views, tuple(scores[view.name] for view in views.views)))
-    return ViewStudy(tuple(scenes), tuple(Notice(**note) for note in document["notes"]))
+KIND = _ViewsKind("views", "scores.json", "pcbench.view-scores/1", ViewStudy, "views.md")
 
 
 def _scene_values(scene: ScoredScene) -> dict[str, Any]:
@@ -173,7 +167,8 @@ def _scores(row: dict[str, Any]) -> ViewScores:
     return ViewScores(number("psnr"), number("ssim"), *optional)
 
 
-def _csv(study: ViewStudy) -> str:
+def scores_csv(study: ViewStudy) -> str:
+    """Return the scores as CSV, one row per view."""
     rows = [
         (
             *(scene.views.scene, scene.views.method, view.name, "test" if view.is_test else "train", view.block),

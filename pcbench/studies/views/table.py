@@ -33,23 +33,23 @@ def table(study: ViewStudy) -> list[list[str]]:
     If there are several scenes, the last row has their mean.
     """
     means = [(scene.mean(test=False), scene.mean(test=True)) for scene in study.scenes]
-    known = [
+    metrics = [
         metric
         for metric in _METRICS
         if any(mean is not None and getattr(mean, metric.field) is not None for pair in means for mean in pair)
     ]
     several = len({scene.views.method for scene in study.scenes}) > 1
     head = ["scene", *(["method"] if several else []), "held out"]
-    names = [f"{kind} {metric.header}" for kind in ("train", "test") for metric in known]
+    names = [f"{kind} {metric.header}" for kind in ("train", "test") for metric in metrics]
     rows = [[*head, "views", *names]]
     for scene, pair in zip(study.scenes, means, strict=True):
         counts = " + ".join(str(len(scene.select(test=test))) for test in (False, True))
         method = [scene.views.method] if several else []
-        rows.append([scene.views.scene, *method, scene.views.split, counts, *_cells(pair, known, scene)])
+        rows.append([scene.views.scene, *method, scene.views.split, counts, *_cells(pair, metrics, scene)])
     if len(study.scenes) > 1:
         over = [_mean_over_scenes([pair[k] for pair in means]) for k in (0, 1)]
         blank = [""] * (len(head) - 1)
-        rows.append([f"mean of {len(study.scenes)}", *blank, "", *_cells(over, known)])
+        rows.append([f"mean of {len(study.scenes)}", *blank, "", *_cells(over, metrics)])
     return rows
 
 

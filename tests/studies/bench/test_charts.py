@@ -1,20 +1,17 @@
 """Charts of a bench: labels do not overlap."""
 
 import itertools
+from functools import partial
 
+import benches
 import pytest
-from benches import row
 from optional import import_or_skip
 
 import_or_skip("matplotlib")
 
 from pcbench.studies.bench import charts  # noqa: E402
 
-
-def document(rows):
-    for r in rows:
-        r |= {"peak_rss_bytes": 2e8, "mean_c2r": 0.1, "mean_r2c": 0.2, "precision": 0.5, "recall": 0.4}
-    return {"rows": rows, "reference": {"unit": "m"}}
+row = partial(benches.row, peak_rss_bytes=2e8, mean_c2r=0.1, mean_r2c=0.2, precision=0.5, recall=0.4, threshold=0.1)
 
 
 @pytest.fixture
@@ -29,7 +26,7 @@ def draw_chart(monkeypatch, tmp_path):
     )
 
     def draw(rows, chart=charts.draw_speed):
-        assert chart(document(rows), tmp_path / "chart.png")
+        assert chart(benches.study(rows), tmp_path / "chart.png")
         return figures[-1]
 
     return draw

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import row
 
-from pcbench.studies.bench.pareto import configurations, front_configurations, mark_front, pareto_front
+from pcbench.studies.bench.pareto import configurations, front_configurations, pareto_front, with_front
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -28,8 +28,7 @@ def test_front_uses_medians_over_seeds():
         row("lucky", 11.0, 0.79),
         row("dead", 0.1, None, "crashed"),
     ]
-    mark_front(rows)
-    assert [r["pareto"] for r in rows] == [True] * 6 + [False, False, None]
+    assert [row.pareto for row in with_front(rows)] == [True] * 6 + [False, False, None]
     results = configurations(rows)
     assert [c.method for c in results] == ["slow", "fast", "worse", "lucky", "dead"]
     assert [c.method for c in front_configurations(results, "chamfer", higher_is_better=False)] == ["fast", "slow"]
@@ -38,5 +37,4 @@ def test_front_uses_medians_over_seeds():
 
 def test_configuration_with_a_failed_seed_is_not_on_the_front():
     rows = [row("reliable", 2.0, 0.5), row("lucky", 1.0, 0.9), row("lucky", 1.0, None, "failed", seed=1)]
-    mark_front(rows)
-    assert [r["pareto"] for r in rows] == [True, False, None]
+    assert [row.pareto for row in with_front(rows)] == [True, False, None]

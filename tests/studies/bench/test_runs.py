@@ -26,7 +26,8 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins.run import Description, describe
 from pcbench.studies.bench import runs
 from pcbench.studies.bench.plan import Axis
-from pcbench.studies.bench.runs import COLUMNS, BenchJob
+from pcbench.studies.bench.results import COLUMNS, KIND
+from pcbench.studies.bench.runs import BenchJob
 from pcbench.studies.bench.table import notes
 from pcbench.tasks import Workers
 
@@ -206,7 +207,7 @@ def test_workers_give_the_same_rows_and_say_that_their_times_differ(bench_folder
     assert [without_times(row) for row in shared["rows"]] == [without_times(row) for row in alone["rows"]]
     assert {row["beside_others"] for row in shared["rows"]} == {True}
     assert {row["beside_others"] for row in alone["rows"]} == {False}
-    (timed,) = set(notes(shared)) - set(notes(alone))
+    (timed,) = set(notes(KIND.read(Path("shared")))) - set(notes(KIND.read(Path("alone"))))
     check_text(timed)
     assert timed in Path("shared/bench.md").read_text()
     # Stored runs are used again without workers.

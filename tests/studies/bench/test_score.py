@@ -22,15 +22,15 @@ from pcbench.studies.bench.truth import read_truth, visible_mask
 
 
 def score(truth, reconstruction, folder, rules=None):
-    return scoring.score(EvaluationProtocol.from_rules(truth, rules or Rules()), reconstruction, folder).row()
+    return scoring.score(EvaluationProtocol.from_rules(truth, rules or Rules()), reconstruction, folder)
 
 
 def test_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
     expected = score(truth, reconstruction_in(POINTS, "georeferenced"), tmp_path)
     values = score(truth, reconstruction_in(POINTS, "arbitrary", OWN), tmp_path)
-    assert values["registration"] == "cameras"
+    assert values.registration == "cameras"
     for key in ("d1_c2r", "d1_r2c", "fscore", "recall_visible", "chamfer"):
-        assert values[key] == pytest.approx(expected[key], rel=1e-6)
+        assert getattr(values, key) == pytest.approx(getattr(expected, key), rel=1e-6)
     T = np.array([[float(w) for w in line.split()] for line in (tmp_path / "T.txt").read_text().splitlines()])
     np.testing.assert_allclose(T, OWN.inverse().matrix, atol=1e-9 * 300)
     # An outlier camera has no influence.
@@ -46,13 +46,13 @@ def test_arbitrary_gauge_is_registered_by_cameras(truth, tmp_path):
 def test_georeferenced_cloud_is_not_fitted(truth, tmp_path):
     reconstruction = reconstruction_in(POINTS + [0, 0, 1.5], "georeferenced")
     values = score(truth, reconstruction, tmp_path)
-    assert values["registration"] == "none"
+    assert values.registration == "none"
     distances = oracles.nearest(reconstruction.cloud.points, TRUTH.points)[0]
-    assert values["d1_c2r"] == pytest.approx(np.mean(distances**2), rel=1e-9)
-    assert values["d1_c2r"] > 0.2
+    assert values.d1_c2r == pytest.approx(np.mean(distances**2), rel=1e-9)
+    assert values.d1_c2r > 0.2
     icp_values = score(truth, reconstruction, tmp_path, Rules(register="icp"))
-    assert icp_values["registration"] == "icp"
-    assert icp_values["d1_c2r"] < 0.2 * values["d1_c2r"]
+    assert icp_values.registration == "icp"
+    assert icp_values.d1_c2r < 0.2 * values.d1_c2r
 
 
 def test_metric_cloud_is_registered_without_scale(truth, tmp_path):
@@ -61,10 +61,10 @@ def test_metric_cloud_is_registered_without_scale(truth, tmp_path):
     centre = POINTS.mean(axis=0)
     enlarged = reconstruction_in(POINTS, "metric", Similarity(np.eye(3), -0.05 * centre, 1.05))
     values = score(truth, enlarged, tmp_path)
-    assert (exact_values["registration"], values["registration"]) == ("cameras", "cameras")
-    assert exact_values["comparison"]["registration"]["scale"] == pytest.approx(1, abs=1e-9)
-    assert values["comparison"]["registration"]["scale"] == 1
-    assert values["d1_c2r"] > 2 * exact_values["d1_c2r"]
+    assert (exact_values.registration, values.registration) == ("cameras", "cameras")
+    assert exact_values.comparison["registration"]["scale"] == pytest.approx(1, abs=1e-9)
+    assert values.comparison["registration"]["scale"] == 1
+    assert values.d1_c2r > 2 * exact_values.d1_c2r
 
 
 def test_cloud_without_cameras_is_registered_by_surface(truth, tmp_path, monkeypatch):
@@ -77,8 +77,8 @@ def test_cloud_without_cameras_is_registered_by_surface(truth, tmp_path, monkeyp
     assert "kiss-matcher" in alignment.notes[0]
     transform = Similarity(shapes.rotation([0, 0, 1], 1.0), np.array([0.1, 0.2, 0.0]), 1.02)
     values = score(truth, reconstruction_in(POINTS, "arbitrary", transform, cameras=()), tmp_path)
-    assert values["registration"] == "similarity"
-    assert values["comparison"]["registration"]["scale"] == pytest.approx(1 / 1.02, rel=2e-3)
+    assert values.registration == "similarity"
+    assert values.comparison["registration"]["scale"] == pytest.approx(1 / 1.02, rel=2e-3)
     # Two cameras, or cameras on one line, do not fix a similarity: a note, and registration by surface.
     alignment_by_two_cameras = choose_alignment(
         reconstruction_in(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras
@@ -94,9 +94,9 @@ def test_recall_of_visible_part(truth, tmp_path):
     within_threshold = oracles.nearest(TRUTH.points, partial_points)[0] <= 0.7
     in_box = ((TRUTH.points >= [5, 5, -5]) & (TRUTH.points <= [35, 35, 50])).all(axis=1)
     is_visible = TRUTH.attributes["visible"] != 0
-    assert values["recall"] == pytest.approx(within_threshold[in_box].mean(), abs=1e-12)
-    assert values["recall_visible"] == pytest.approx(within_threshold[in_box & is_visible].mean(), abs=1e-12)
-    assert values["recall_visible"] > values["recall"] + 0.05
+    assert values.recall == pytest.approx(within_threshold[in_box].mean(), abs=1e-12)
+    assert values.recall_visible == pytest.approx(within_threshold[in_box & is_visible].mean(), abs=1e-12)
+    assert values.recall_visible > values.recall + 0.05
 
 
 def wall_and_ground():

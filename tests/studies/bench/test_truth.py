@@ -51,19 +51,19 @@ def test_accuracy_is_independent_of_reference_density(tmp_path, error):
     assert scores.mean_c2r == pytest.approx(np.abs(offsets).mean(), rel=1e-9)
     assert scores.mean_c2r == pytest.approx(error, rel=0.03)
     assert scores.d1_c2r == pytest.approx(np.mean(offsets**2), rel=1e-9)
-    assert (scores.mean_c2r_floor, scores.threshold_scores[0].precision_floor) == (0, 1)
-    for threshold_score in scores.threshold_scores:
+    assert (scores.mean_c2r_floor, scores.thresholds[0].precision_floor) == (0, 1)
+    for threshold_score in scores.thresholds:
         assert threshold_score.precision == pytest.approx(
             np.mean(np.abs(offsets) <= threshold_score.threshold), abs=1e-12
         )
-    assert scores.row()["threshold"] == 0.5  # the last threshold
-    assert [threshold_score["threshold"] for threshold_score in scores.row()["thresholds"]] == [0.1, 0.2, 0.5]
+    assert scores.threshold == 0.5  # the last threshold
+    assert [at.threshold for at in scores.thresholds] == [0.1, 0.2, 0.5]
     # Against points alone their spacing dominates, and the floor shows it.
     scores_without_mesh = score_points(Truth(truth.cloud, {}, None, ""), points, tmp_path, threshold="0.1,0.2,0.5")
     assert scores_without_mesh.accuracy_to == "points"
     assert scores_without_mesh.mean_c2r > 0.45
     assert scores_without_mesh.mean_c2r_floor > 0.45
-    for threshold_score in scores_without_mesh.threshold_scores:
+    for threshold_score in scores_without_mesh.thresholds:
         assert threshold_score.precision_floor == pytest.approx(
             1 - np.exp(-np.pi * threshold_score.threshold**2), rel=0.06
         )
@@ -78,7 +78,7 @@ def test_precision_floor_is_precision_of_error_free_clouds(tmp_path):
     for points, tolerance in ((uneven_points, 0.03), (np.column_stack([grid * 40 / 55, np.zeros(55**2)]), 0.15)):
         candidate = square_mesh(40.0).sample(8000, seed=4).points
         scores = score_points(Truth(Cloud(points), {}, None, ""), candidate, tmp_path, threshold="0.3,0.6,1")
-        for threshold_score in scores.threshold_scores:
+        for threshold_score in scores.thresholds:
             assert threshold_score.precision_floor == pytest.approx(threshold_score.precision, abs=tolerance)
 
 
@@ -90,7 +90,7 @@ def test_completeness_is_measured_by_area(tmp_path):
     truth = make_truth(mesh, 500, nadir_cameras(30.0, 31.0, 32.0), visible)
     lattice = np.stack(np.meshgrid(np.arange(-0.5, 41), np.arange(-0.5, 41), [0.0]), axis=-1).reshape(-1, 3)
     scores = score_points(truth, lattice, tmp_path, threshold="0.05,0.1,0.4")
-    for threshold_score in scores.threshold_scores:
+    for threshold_score in scores.thresholds:
         assert threshold_score.recall_visible == pytest.approx(np.pi * threshold_score.threshold**2, rel=0.02)
         assert threshold_score.recall_visible_floor == pytest.approx(
             threshold_score.recall_visible, rel=1e-9
@@ -99,14 +99,14 @@ def test_completeness_is_measured_by_area(tmp_path):
             2 / (1 / threshold_score.precision + 1 / threshold_score.recall_visible), rel=1e-9
         )
     # Errors account for the difference between recall and its floor.
-    lifted_score = score_points(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").threshold_scores[-1]
+    lifted_score = score_points(truth, lattice + [0, 0, 0.3], tmp_path, threshold="0.05,0.1,0.4").thresholds[-1]
     assert lifted_score.recall_visible == pytest.approx(np.pi * (0.4**2 - 0.3**2), rel=0.02)
-    assert lifted_score.recall_visible_floor == pytest.approx(scores.threshold_scores[-1].recall_visible, rel=1e-9)
+    assert lifted_score.recall_visible_floor == pytest.approx(scores.thresholds[-1].recall_visible, rel=1e-9)
     # Points far from the surface do not count in the floor.
     outlier_score = score_points(
         truth, lattice + [0, 0, 1] * (lattice[:, :1] > 20), tmp_path, threshold="0.4"
-    ).threshold_scores[-1]
-    assert outlier_score.recall_visible_floor == pytest.approx(scores.threshold_scores[-1].recall_visible / 2, rel=0.03)
+    ).thresholds[-1]
+    assert outlier_score.recall_visible_floor == pytest.approx(scores.thresholds[-1].recall_visible / 2, rel=0.03)
 
 
 def test_visible_part_is_sampled_at_threshold_spacing(monkeypatch):
@@ -180,7 +180,7 @@ def test_scores_are_invariant_to_large_coordinates(tmp_path):
     moved_mesh = Mesh(mesh.vertices + offset, mesh.faces, unit="m")
     scores = score_points(make_truth(moved_mesh, 2000), points + offset, tmp_path, threshold="0.1")
     assert scores.mean_c2r == pytest.approx(expected.mean_c2r, rel=1e-6)
-    assert scores.threshold_scores[0].precision == expected.threshold_scores[0].precision
+    assert scores.thresholds[0].precision == expected.thresholds[0].precision
 
 
 def test_mesh_of_the_scene_is_used(bench_folder, in_process):

@@ -29,10 +29,7 @@ from pcbench.studies.gao.cameras import camera_deformation, camera_errors, camer
 from pcbench.studies.gao.evaluation import evaluate_against, visible_truth
 from pcbench.studies.gao.gao import run_gao
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE, GaoJob, default_region, focus_point, methods
-from pcbench.studies.gao.results import (
-    KIND,
-    TRUTH,
-)
+from pcbench.studies.gao.results import KIND, TRUTH, CloudResult
 from pcbench.tasks import Workers
 from reconstructors.sfm.alignment import transform_camera
 
@@ -266,12 +263,12 @@ def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
     scene = read_scene(ten_images_folder(tmp_path / "scene"))
     executed = []
 
-    def make(maker, method, previous):
+    def make(maker, method, *_):
         executed.append(method.name)
         folder = tmp_path / method.name
         folder.mkdir()
         write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
-        return clouds.CloudRun(method, folder)
+        return CloudResult(method.name, folder=folder)
 
     monkeypatch.setattr(clouds._CloudMaker, "make", make)
     job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
@@ -285,12 +282,12 @@ def test_later_clouds_have_the_unit_of_the_sparse_cloud(tmp_path, monkeypatch):
     scene = read_scene(ten_images_folder(tmp_path / "scene"))
     units = {}
 
-    def make(maker, method, previous):
+    def make(maker, method, *_):
         units[method.name] = maker.unit
         folder = tmp_path / method.name
         folder.mkdir()
         write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3), unit="m"))
-        return clouds.CloudRun(method, folder)
+        return CloudResult(method.name, folder=folder)
 
     monkeypatch.setattr(clouds._CloudMaker, "make", make)
     clouds.make_clouds(GaoJob((scene.folder,)), scene, scene.folder, tmp_path, None, lambda _: None)
@@ -303,7 +300,7 @@ def test_scenes_on_workers_give_the_same_results(tmp_path, monkeypatch, tasks_in
 
     def make(job, scene, path, out, unit, step, *, beside_others):
         step(f"{scene.name}: made")
-        return [clouds.CloudRun(method, failure=f"no cloud of {path.name}") for method in methods(job)]
+        return [CloudResult(method.name, failure=f"no cloud of {path.name}") for method in methods(job)]
 
     monkeypatch.setattr(gao, "make_clouds", make)
     studies, steps = [], []

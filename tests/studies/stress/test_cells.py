@@ -29,7 +29,7 @@ from pcbench.studies.stress.subject import (
     UNNAMED,
     WITHHELD,
     WRONG,
-    Method,
+    StressMethod,
 )
 from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, WITHHELD_ALTHOUGH_RIGHT
 
@@ -43,7 +43,7 @@ def pair():
 
 
 def outcome_of(monkeypatch, pair, result, plan=PLAN):
-    monkeypatch.setitem(METHODS, "icp", Method("icp", lambda *_: result, scope=LOCAL))
+    monkeypatch.setitem(METHODS, "icp", StressMethod("icp", lambda *_: result, scope=LOCAL))
     (cell,) = run_cell(plan, pair).cells
     return cell
 
@@ -101,7 +101,7 @@ def test_an_exception_is_a_crash(monkeypatch, pair):
     def fail(*_):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setitem(METHODS, "icp", Method("icp", fail, scope=LOCAL))
+    monkeypatch.setitem(METHODS, "icp", StressMethod("icp", fail, scope=LOCAL))
     (cell,) = run_cell(PLAN, pair).cells
     assert (cell.outcome, cell.message, cell.cpu_s) == (CRASH, "ZeroDivisionError: division by zero", None)
     for plan, count in ((replace(PLAN, subject="metrics"), 2), (replace(PLAN, subject="verdicts"), 3)):
@@ -234,7 +234,7 @@ def test_outcomes_of_changes(level, kinds, elsewhere, outcome, monkeypatch):
         place = np.zeros(3) if true is None else true.points.mean(axis=0)
         far = np.argsort(np.linalg.norm(changed.points - place, axis=1))[-30:]
         found.append(NamedChange(MOVED, 1.0, changed.points[far]))
-    monkeypatch.setitem(CHANGE_METHODS, "changes", Method("changes", lambda _: found))
+    monkeypatch.setitem(CHANGE_METHODS, "changes", StressMethod("changes", lambda _: found))
     (cell,) = run_cell(plan, changed).cells
     assert cell.outcome == outcome and cell.named == tuple(kinds) and cell.elsewhere == elsewhere
     assert cell.has_to_be_named == (level == 100)

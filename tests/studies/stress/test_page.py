@@ -8,7 +8,7 @@ from pcbench.report.article import markdown
 from pcbench.studies.stress.page import article
 from pcbench.studies.stress.results import SilentFailure
 from pcbench.studies.stress.subject import SILENT
-from pcbench.studies.stress.words import answer, sentences
+from pcbench.studies.stress.words import answer, warnings
 
 
 def page(*arguments):
@@ -21,7 +21,7 @@ def test_the_answer_comes_first_and_all_sentences_follow():
     assert lines[0] == "# Where registration, metrics and verdicts break"
     first = list(answer(study()))
     assert lines[2 : 2 + len(first)] == [f"- {sentence}" for sentence in first]
-    for sentence in sentences(study()):
+    for sentence in warnings(study()):
         assert f"- {sentence}" in lines
 
 

@@ -13,9 +13,8 @@ from pcbench.studies.stress.page import article
 from pcbench.studies.stress.reconstructors.charts import score_charts
 from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION
 from pcbench.studies.stress.results import KIND
-from pcbench.studies.stress.study import csv_text
-from pcbench.studies.stress.table import limits_table, outcome_table, stress_table
-from pcbench.studies.stress.words import sentences
+from pcbench.studies.stress.table import limits_table, outcome_table, stress_csv, stress_table
+from pcbench.studies.stress.words import answer, warnings
 
 
 def test_tables():
@@ -38,7 +37,7 @@ def test_document_and_csv_hold_all_cells(tmp_path):
     study = photo_study()
     (tmp_path / "stress.json").write_text(to_json(KIND.values(study)))
     assert KIND.read(tmp_path) == study
-    rows = list(csv.DictReader(csv_text(study).splitlines()))
+    rows = list(csv.DictReader(stress_csv(study).splitlines()))
     assert len(rows) == 32 and {row["subject"] for row in rows} == {RECONSTRUCTION.name}
     (found,) = [r for r in rows if (r["method"], r["ladder"], r["level"]) == ("mvs", "blur", "2")]
     assert (found["outcome"], found["fscore"], found["standard"], found["cpu_s"]) == ("degraded", "0.3", "0.96", "4.0")
@@ -51,7 +50,7 @@ def test_page_names_scene_threshold_and_figures():
     names = ["outcomes_reconstruction.png", "scores_images.png", "scores_surface.png"]
     text = markdown(article(study, [f"figures/{name}" for name in names]))
     assert text.startswith("# Where reconstructors break\n")
-    assert all(sentence in text for sentence in sentences(study))
+    assert all(sentence in text for sentence in (*answer(study), *warnings(study)))
     assert (
         "32 reconstructions on 3 ladders of perturbations. Each scene is a city of 100 m with 10 images of 160 x 120"
         " pixels; a pixel is 1.2 m on the surface. The F-score is measured at 2.4 m" in text

@@ -102,7 +102,7 @@ def test_damaged_records_and_killed_runs_are_repeated(made, tmp_path):
     shutil.copytree(out, tmp_path / "out")
     settings = runs.RunSettings(tmp_path / "out", time_limit_s=60.0)
     for plan, damage in zip(SEEDS, DAMAGES, strict=False):
-        path = settings.record(plan)
+        path = plan.record(settings.out)
         record = json.loads(path.read_text())
         damage(record)
         path.write_text(json.dumps(record))
@@ -134,7 +134,7 @@ def test_a_library_that_cannot_be_loaded_ends_the_study(settings):
     plan = replace(PLANS[0], level=7.0)
     with check_error():
         runs.run_all([plan], settings)
-    assert not settings.record(plan).exists()
+    assert not plan.record(settings.out).exists()
 
 
 def test_metrics_and_verdicts_have_records_too(made):

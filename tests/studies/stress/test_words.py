@@ -16,7 +16,6 @@ from pcbench.studies.stress.words import (
     metric_headlines,
     reconstruction_headlines,
     registration_headlines,
-    sentences,
     verdict_headlines,
     warnings,
 )
@@ -119,7 +118,6 @@ def test_a_method_without_an_unperturbed_score_cannot_be_judged():
 def test_subjects_have_at_most_three_headlines(made):
     headlines = list(answer(made))
     assert 0 < len(headlines) <= 3 * len(made.subjects())
-    assert sentences(made) == (*headlines, *warnings(made))
     assert not any("peer" in headline or "naive" in headline or "Open3D" in headline for headline in headlines)
 
 

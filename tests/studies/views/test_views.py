@@ -17,6 +17,7 @@ from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.json_values import to_json
 from pcbench.measure.images import ssim
 from pcbench.measure.perceptual import Perceptual
 from pcbench.report.article import markdown
@@ -27,7 +28,7 @@ from pcbench.studies.frame.folder import write_files
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import draw_views, select_views, title_of
 from pcbench.studies.views.runs import ViewsJob, run_views
-from pcbench.studies.views.scores import read_scores, score_files, score_views
+from pcbench.studies.views.scores import KIND, score_views, scores_csv
 from pcbench.studies.views.table import sentences, table
 
 Image = import_or_skip("PIL.Image")
@@ -103,8 +104,8 @@ def test_scores_round_trip(tmp_path):
         tmp_path / "c", "same", "splat", SPLIT_OF_NINE, lambda name: ViewImages(name, photograph(1), photograph(1))
     )
     study = score_views([*folders, tmp_path / "c"], perceptual=NO_PERCEPTUAL_METRICS)
-    write_files(tmp_path, score_files(study))
-    restored = read_scores(tmp_path)
+    write_files(tmp_path, {"scores.csv": scores_csv(study), "scores.json": to_json(KIND.values(study))})
+    restored = KIND.read(tmp_path)
     assert restored.notes == study.notes
     assert [note.code for note in study.notes] == ["masked-views"]
     for scene, other in zip(study.scenes, restored.scenes, strict=True):
@@ -120,7 +121,7 @@ def test_scores_round_trip(tmp_path):
     assert document["scenes"][2]["test"]["psnr"] == "inf"
     write_view_folder(tmp_path / "a", count=20)
     with check_error():
-        read_scores(tmp_path)
+        KIND.read(tmp_path)
 
 
 def test_table_has_one_row_per_scene_and_a_mean(tmp_path):
@@ -219,7 +220,7 @@ def test_scores_do_not_depend_on_the_page(tmp_path, monkeypatch):
     assert (out / "views.md").is_file() and (out / "report.html").is_file()
     monkeypatch.setattr("pcbench.studies.views.runs.article", Mock(side_effect=KeyError("near_splat")))
     check_text(run_views(job, out, figures=False).without_page)
-    assert len(read_scores(out).scenes) == 1
+    assert len(KIND.read(out).scenes) == 1
     assert not (out / "views.md").exists() and not (out / "report.html").exists()
 
 

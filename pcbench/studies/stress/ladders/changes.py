@@ -16,7 +16,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
 from pcbench.studies.stress.changes import CHANGES
-from pcbench.studies.stress.ladders.ladder import Ladder
+from pcbench.studies.stress.ladders.ladder import Ladder, Perturbation
 from pcbench.studies.stress.ladders.warps import WARP_LADDERS
 from pcbench.studies.stress.scenes import StressPair, TrueChange
 from pcbench.studies.stress.verdicts import VERDICTS
@@ -150,53 +150,25 @@ def _reference_with_box(pair: StressPair, box: _Box, rng: np.random.Generator) -
     return np.concatenate([pair.reference[~box.contains(pair.reference)], points]), points
 
 
+def _change(
+    name: str, unit: str, levels: tuple[float, ...], perturb: Perturbation, quick: tuple[float, ...] = ()
+) -> Ladder:
+    return Ladder(name, name.replace("-", " "), "changes", unit, levels, quick, perturb, (CHANGES,))
+
+
+_OBJECT_SIZES, _EXACT_SHARES = (0, 2, 5, 10, 20, 30), (0, 5, 10, 25, 50, 75, 90)
+
 CHANGE_LADDERS = (
-    Ladder(
-        "raised-part",
-        "raised part",
-        "changes",
-        "x noise",
-        (0, 3, 5, 10, 30, 100, 300, 1000),
-        (0, 10, 100),
-        _raised,
-        (CHANGES,),
-    ),
-    Ladder(
-        "added-object",
-        "added object",
-        "changes",
-        "% of the extent",
-        (0, 2, 5, 10, 20, 30),
-        (),
-        _with_added,
-        (CHANGES,),
-    ),
-    Ladder(
-        "removed-object",
-        "removed object",
-        "changes",
-        "% of the extent",
-        (0, 2, 5, 10, 20, 30),
-        (),
-        _with_removed,
-        (CHANGES,),
-    ),
-    Ladder(
-        "moved-object",
-        "moved object",
-        "changes",
-        "% of its side",
-        (0, 5, 10, 25, 50, 100, 200),
-        (),
-        _with_moved,
-        (CHANGES,),
-    ),
+    _change("raised-part", "x noise", (0, 3, 5, 10, 30, 100, 300, 1000), _raised, (0, 10, 100)),
+    _change("added-object", "% of the extent", _OBJECT_SIZES, _with_added),
+    _change("removed-object", "% of the extent", _OBJECT_SIZES, _with_removed),
+    _change("moved-object", "% of its side", (0, 5, 10, 25, 50, 100, 200), _with_moved),
     Ladder(
         "exact-part",
         "exact planes beside a dome",
         "changes",
         "% of the points",
-        (0, 5, 10, 25, 50, 75, 90),
+        _EXACT_SHARES,
         (),
         _partly_exact,
         (VERDICTS,),

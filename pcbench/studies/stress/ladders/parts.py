@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.voxels import robust_bounds
-from pcbench.studies.stress.ladders.ladder import Ladder
+from pcbench.studies.stress.ladders.ladder import Ladder, Perturbation
 from pcbench.studies.stress.metrics import METRICS
 from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.verdicts import VERDICTS
 
-_ALL = (REGISTRATION, METRICS, VERDICTS)
+_ALL, _POSED = (REGISTRATION, METRICS, VERDICTS), (REGISTRATION, VERDICTS)
 _MIN_POINTS = 200  # a candidate keeps at least these
 _STEEP = 0.3  # vertical component of the normal up to which a surface counts as a wall
 _LEVEL = 0.7  # vertical component of the normal from which it counts as level
@@ -128,83 +128,35 @@ def _upward(pair: StressPair) -> FloatArray:
     return upward
 
 
+def _missing(part: str, them: str, perturb: Perturbation, *, needs_vegetation: bool = False) -> Ladder:
+    return Ladder(
+        f"missing-{part}",
+        f"missing {part}",
+        "parts",
+        f"% of {them}",
+        (0, 25, 50, 75, 100),
+        (),
+        perturb,
+        _POSED,
+        needs_vegetation=needs_vegetation,
+    )
+
+
+_OVERLAPS, _SHARES = (100, 80, 60, 40, 30, 20, 10, 5), (0, 10, 25, 50, 75, 90, 97)
+_THINNINGS, _FALLS = (1, 2, 4, 8, 16, 32, 64), (1, 3, 10, 30, 100, 1000)
+_STEPS = (0, 0.1, 0.25, 0.5, 1, 2, 4)
+
 PART_LADDERS = (
-    Ladder(
-        "overlap",
-        "overlap",
-        "parts",
-        "%",
-        (100, 80, 60, 40, 30, 20, 10, 5),
-        (100, 40, 20),
-        _overlapping,
-        (REGISTRATION, VERDICTS),
-    ),
-    Ladder("cutouts", "holes", "parts", "% of the points", (0, 10, 25, 50, 75, 90, 97), (), _cut_out, _ALL),
-    Ladder(
-        "missing-walls",
-        "missing walls",
-        "parts",
-        "% of them",
-        (0, 25, 50, 75, 100),
-        (),
-        _without_walls,
-        (REGISTRATION, VERDICTS),
-    ),
-    Ladder(
-        "missing-roofs",
-        "missing roofs",
-        "parts",
-        "% of them",
-        (0, 25, 50, 75, 100),
-        (),
-        _without_roofs,
-        (REGISTRATION, VERDICTS),
-    ),
-    Ladder(
-        "missing-ground",
-        "missing ground",
-        "parts",
-        "% of it",
-        (0, 25, 50, 75, 100),
-        (),
-        _without_ground,
-        (REGISTRATION, VERDICTS),
-    ),
-    Ladder(
-        "missing-vegetation",
-        "missing vegetation",
-        "parts",
-        "% of it",
-        (0, 25, 50, 75, 100),
-        (),
-        _without_vegetation,
-        (REGISTRATION, VERDICTS),
-        needs_vegetation=True,
-    ),
-    Ladder(
-        "density", "thinning of the candidate", "density", "to 1", (1, 2, 4, 8, 16, 32, 64), (1, 16), _thinned, _ALL
-    ),
-    Ladder(
-        "falling-density",
-        "fall of the density to the edge",
-        "density",
-        "to 1",
-        (1, 3, 10, 30, 100, 1000),
-        (),
-        _falling_density,
-        _ALL,
-    ),
+    Ladder("overlap", "overlap", "parts", "%", _OVERLAPS, (100, 40, 20), _overlapping, _POSED),
+    Ladder("cutouts", "holes", "parts", "% of the points", _SHARES, (), _cut_out, _ALL),
+    _missing("walls", "them", _without_walls),
+    _missing("roofs", "them", _without_roofs),
+    _missing("ground", "it", _without_ground),
+    _missing("vegetation", "it", _without_vegetation, needs_vegetation=True),
+    Ladder("density", "thinning of the candidate", "density", "to 1", _THINNINGS, (1, 16), _thinned, _ALL),
+    Ladder("falling-density", "fall of the density to the edge", "density", "to 1", _FALLS, (), _falling_density, _ALL),
     Ladder(
         "duplicates", "copies of a tenth of the points", "density", "copies", (0, 1, 3, 10, 30), (), _duplicated, _ALL
     ),
-    Ladder(
-        "quantised",
-        "rounding of coordinates",
-        "coordinates",
-        "spacings",
-        (0, 0.1, 0.25, 0.5, 1, 2, 4),
-        (),
-        _quantised,
-        _ALL,
-    ),
+    Ladder("quantised", "rounding of coordinates", "coordinates", "spacings", _STEPS, (), _quantised, _ALL),
 )

@@ -208,6 +208,7 @@ def _photogrammetric(pair: StressPair, level: float, rng: np.random.Generator, *
     return replace(moved, candidate_noise=float(np.hypot(pair.candidate_noise, level * pair.spacing)))
 
 
+_SUBJECTS = (REGISTRATION, METRICS, VERDICTS)
 PHOTOGRAMMETRIC_LADDERS = tuple(
     Ladder(
         f"noise-{method}",
@@ -217,7 +218,7 @@ PHOTOGRAMMETRIC_LADDERS = tuple(
         _LEVELS,
         (),
         partial(_photogrammetric, method=method),
-        (REGISTRATION, METRICS, VERDICTS),
+        _SUBJECTS,
     )
     for method in ("mvs", "splat")
 )

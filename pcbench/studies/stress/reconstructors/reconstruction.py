@@ -5,23 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pcbench.studies.stress.subject import (
-    BLUE,
-    CONFIDENT,
-    DEGRADED,
-    ENDS,
-    GREEN,
-    RED,
-    REFUSED,
-    RIGHT,
-    SAID_SO,
-    SUCCESS,
-    WARNED,
-    YELLOW,
-    Cell,
-    Outcome,
-    Subject,
-)
+from pcbench.studies.stress.subject import DEGRADED, ENDS, REFUSED, RIGHT, WARNED, Group, Outcome, StressCell, Subject
 
 UNPERTURBED = "unperturbed"
 
@@ -37,7 +21,7 @@ WARNING_PREFIX = "warning: "
 
 
 @dataclass(frozen=True)
-class ReconstructionCell(Cell):
+class ReconstructionCell(StressCell):
     """Result of one reconstruction; lengths are in metres.
 
     Attributes:
@@ -107,10 +91,10 @@ RECONSTRUCTION = Subject(
     key="reconstructions",
     cell=ReconstructionCell,
     outcomes=(
-        Outcome(RIGHT, "at least half of the unperturbed F-score", GREEN, SUCCESS),
-        Outcome(WARNED, "poor, with a warning", BLUE, SAID_SO),
-        Outcome(REFUSED, "refused with an error", YELLOW, SAID_SO),
-        Outcome(DEGRADED, "poor, without a warning", RED, CONFIDENT),
+        Outcome(RIGHT, "at least half of the unperturbed F-score", Group.SUCCESS),
+        Outcome(WARNED, "poor, with a warning", Group.SAID_SO),
+        Outcome(REFUSED, "refused with an error", Group.SAID_SO),
+        Outcome(DEGRADED, "poor, without a warning", Group.CONFIDENT),
         *ENDS,
     ),
     legend="right: at least half of the F-score of the unperturbed run; warned: less, with a warning; refused: an error"

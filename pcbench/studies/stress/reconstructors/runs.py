@@ -26,7 +26,7 @@ from pcbench.scenes.synthetic.files import SceneSettings
 from pcbench.studies.bench.score import EvaluationProtocol, score
 from pcbench.studies.frame.cells import map_cells
 from pcbench.studies.frame.records import read_record, write_record
-from pcbench.studies.stress.cells import RunPlan
+from pcbench.studies.stress.cells import RECORDS, RunPlan
 from pcbench.studies.stress.descriptions import PhotographInfo
 from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, PhotoLadder
 from pcbench.studies.stress.reconstructors.reconstruction import (
@@ -44,8 +44,8 @@ from pcbench.studies.stress.reconstructors.scenes import (
     rendered_scene,
     write_photographs,
 )
-from pcbench.studies.stress.runs import RECORDS, WORK
-from pcbench.studies.stress.study import RENDERED
+from pcbench.studies.stress.results import RENDERED
+from pcbench.studies.stress.runs import WORK
 from pcbench.studies.stress.subject import CRASH, REFUSED, RIGHT, TIME_OUT
 from pcbench.tasks import Workers
 
@@ -89,10 +89,6 @@ class PhotoRuns:
     out: Path
     time_limit_s: float
     quick: bool
-
-    def record(self, plan: RunPlan) -> Path:
-        """Return the path of a run's record."""
-        return self.out / RECORDS / f"{plan.stem}.json"
 
     def key(self, plan: RunPlan, method: ReconstructorMethod) -> dict[str, Any]:
         """Return all inputs that a run's result depends on."""
@@ -168,7 +164,7 @@ def run_photo_plans(
     (settings.out / RECORDS).mkdir(exist_ok=True)
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
     keys = {plan: settings.key(plan, methods[plan.method]) for plan in plans}
-    cells = {plan: read_record(settings.record(plan), keys[plan], ReconstructionCell) for plan in plans}
+    cells = {plan: read_record(plan.record(settings.out), keys[plan], ReconstructionCell) for plan in plans}
     missing = [(plan, methods[plan.method], keys[plan]) for plan in plans if cells[plan] is None]
     if workers is not None:  # each scene is rendered once, before several runs need it
         for seed in {plan.seed for plan, _, _ in missing}:
@@ -195,7 +191,7 @@ def _run_plan(
         cell = _reconstruct(plan, method, settings, work)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    write_record(settings.record(plan), key, cell)
+    write_record(plan.record(settings.out), key, cell)
     return cell
 
 
@@ -229,13 +225,12 @@ def _measured(
         return replace(cell, message=f"the cloud cannot be measured: {record_error(error)}")
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
         return replace(cell, message=f"the cloud cannot be measured: {type(error).__name__}: {record_error(error)}")
-    scores = values.threshold_scores[-1]
     return replace(
         cell,
-        fscore=scores.fscore if scores.fscore_visible is None else scores.fscore_visible,
-        precision=scores.precision,
-        recall=scores.recall if scores.recall_visible is None else scores.recall_visible,
-        threshold=scores.threshold,
+        fscore=values.fscore if values.fscore_visible is None else values.fscore_visible,
+        precision=values.precision,
+        recall=values.recall if values.recall_visible is None else values.recall_visible,
+        threshold=values.threshold,
         rms=float(np.sqrt(values.d1_c2r)),
         registration=values.registration,
     )

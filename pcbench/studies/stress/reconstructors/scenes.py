@@ -9,12 +9,12 @@ import numpy as np
 
 from pcbench.extras import require
 from pcbench.geometry.cameras import Intrinsics
-from pcbench.io.files import atomic_write
 from pcbench.io.transforms_json import write_transforms
 from pcbench.plugins.stages import stage
 from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic.files import SceneSettings, write_scene
 from pcbench.scenes.synthetic.plan import CitySettings
+from pcbench.scratch import atomic_write
 from pcbench.studies.bench.score import EvaluationProtocol, Rules
 from pcbench.studies.bench.truth import Truth, read_truth
 from pcbench.studies.stress.descriptions import PhotographInfo

@@ -13,6 +13,7 @@ from pcbench.report.document import provenance
 from pcbench.scenes.synthetic.render import check_renderer
 from pcbench.studies.bench.plan import labels
 from pcbench.studies.frame.folder import study_folder
+from pcbench.studies.frame.publish import StudyOutcome
 from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo, MissingMethod
 from pcbench.studies.stress.reconstructors.ladders import PhotoLadder, selected
 from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION, UNPERTURBED
@@ -23,7 +24,7 @@ from pcbench.studies.stress.reconstructors.runs import (
     run_photo_plans,
 )
 from pcbench.studies.stress.results import KIND, StressSettings, StressStudy
-from pcbench.studies.stress.study import PHOTOGRAPHS, StressOutcome, check_study, write_study
+from pcbench.studies.stress.study import PHOTOGRAPHS, check_study, write_study
 
 DEFAULT_METHODS = ("sfm", "mvs", "splat")
 QUICK_METHODS = ("sfm", "mvs")
@@ -84,7 +85,7 @@ def run_reconstructor_stress(
     plan: PhotoPlan | None = None,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> StressOutcome:
+) -> StudyOutcome[StressStudy]:
     """Run reconstructors on perturbed photographs, and write the same files as `run_stress` to a folder.
 
     The records of all runs stay in its folder `runs`, and rendered scenes in `scenes`; a later run with the same

@@ -105,7 +105,7 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot be read as text: {reason_of(error)}") from error
     find = ImageNames(images)
-    found: dict[str, FloatArray] = {}
+    positions: dict[str, FloatArray] = {}
     unmatched: list[str] = []
     for number, line in enumerate(lines, 1):
         words = line.split()
@@ -123,10 +123,10 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         if name is None:
             unmatched.append(words[0])
         else:
-            found[name] = position
+            positions[name] = position
     if unmatched:
         warn(f"{path}: left out {len(unmatched)} positions without an image: {first_names(unmatched)}")
-    return found
+    return positions
 
 
 def _masks_folder(path: Path, masks: Path | str | None) -> Path | None:
@@ -312,7 +312,8 @@ def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[s
 def _intrinsics_error(k: Intrinsics) -> str:
     """Describe why intrinsics are implausible for their image; empty if they are plausible."""
     size = max(k.width, k.height)
-    focal, at = f"a focal length of {k.fx:.4g} x {k.fy:.4g}", f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
+    focal = f"a focal length of {k.fx:.4g} x {k.fy:.4g}"
+    principal_point = f"a principal point at ({k.cx:.4g}, {k.cy:.4g})"
     in_pixels = min(k.fx, k.fy) >= _MIN_FOCAL_SHARE * size and (max(k.cx, k.cy) > 1 or size <= 2)
     if not in_pixels:
         what = "they look normalised or in millimetres, convert them to pixels"
@@ -320,4 +321,4 @@ def _intrinsics_error(k: Intrinsics) -> str:
         what = "the principal point lies outside the image, correct it"
     else:
         return ""
-    return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
+    return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {principal_point}: {what}"
