@@ -123,8 +123,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
     texts = {name: _read_text(archive, members.pop(name), name, warn) for name in _TEXT_NAMES if name in members}
     for name, others in _ARRAY_NAMES.items():
-        if name not in members and (known := next((other for other in others if other in members), None)):
-            members[name] = members.pop(known)
+        if name not in members and (similar := next((other for other in others if other in members), None)):
+            members[name] = members.pop(similar)
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
     if key not in members:
         raise InputError(f"expected an array 'points', got {_list_names(members)}: save the points under that name")

@@ -287,8 +287,8 @@ class Source:
     def _mesh_format(self) -> MeshFormat:
         extension = self.file.suffix.lower()
         if extension not in MESHES:
-            known = ", ".join(MESHES)
-            raise InputError(f"expected a mesh file with extension {known}; got {extension or 'no extension'!r}")
+            extensions = ", ".join(MESHES)
+            raise InputError(f"expected a mesh file with extension {extensions}; got {extension or 'no extension'!r}")
         return MESHES[extension]
 
 
