@@ -268,6 +268,12 @@ def _read_laszip(
     records = decompress(runs).view(record_type(header, extras))
     for line in dict.fromkeys(lines):  # one line, not one per node
         warn(line)
+    first = 0
+    for run in runs:  # each node has its own bounds
+        of_node = records[first : first + run.points]
+        for line in count_records(of_node, run.header).bounds_warnings(run.header):
+            warn(f"{run.name}: {line}")
+        first += run.points
     counts = count_records(records, replace(header, bounds=None))
     fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
     return fields | brightest_of(records), counts

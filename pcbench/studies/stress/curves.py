@@ -43,14 +43,14 @@ def recall_chart(study: StressStudy) -> Any | None:
     )
     figure, axes = canvas(len(scopes), len(columns), (4.8, 3.6), extra=1.0)
     for line, scope in zip(axes, scopes, strict=True):
-        for axis, (name, title, recall) in zip(line, columns, strict=True):
+        for axis, (name, title, axis_unit) in zip(line, columns, strict=True):
             axis.set_xscale("log")
             axis.set_xlim(*_error_limits(study, name))
             plain_log_ticks(axis.xaxis)
             for row in rows:
                 if row.method.scope == scope:
                     _draw_recall(axis, row, name, styles[row.name])
-            axis.set_xlabel(axis_title(title, recall))
+            axis.set_xlabel(axis_title(title, axis_unit))
             axis.set_title(f"{_SCOPE_TITLES[scope]}: {title if name != 'error' else 'relative error'}", fontsize=10)
             percent_axis(axis)
         line[0].set_ylabel("recall: runs with at most this error [%]")
