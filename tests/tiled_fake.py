@@ -13,7 +13,7 @@ from pcbench.measure.results import LeftOut, Tiling
 STEP = 4  # of the sample in a map
 
 
-def compare_in_tiles(clouds, settings, tiling, *, workspace, maps, on_step):
+def compare_in_tiles(clouds, settings, tiling, *, key, workspace, maps, on_step):
     """Compare in memory, and return the result as `pcbench.comparison.in_tiles.compare_in_tiles` does."""
     on_step("sorting the reference")
     (workspace / "sorted.bin").write_bytes(b"sorted")

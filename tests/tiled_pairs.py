@@ -68,8 +68,12 @@ def check_equal(tiled, memory, *, with_warnings=True):
 
 def compare_on_disk(reference, candidates, settings, tiling, *, workspace, maps=None):
     """Compare files in tiles, without a report."""
-    clouds = CloudsOnDisk.open(Request.of(reference, candidates, settings), tiling)
-    return compare_in_tiles(clouds, settings, tiling, workspace=workspace, maps=maps, on_step=lambda _: None)
+    request = Request.of(reference, candidates, settings)
+    clouds = CloudsOnDisk.open(request, tiling)
+    key = clouds.key(request.settings, tiling)
+    return compare_in_tiles(
+        clouds, request.settings, tiling, key=key, workspace=workspace, maps=maps, on_step=lambda _: None
+    )
 
 
 class Pair:

@@ -20,7 +20,7 @@ from pcbench.errors import InputError, one_line
 
 GOLDEN = TESTS / "wording.txt"
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(,\d{3})*(\.\d+)?(e[-+]?\d+)?(?![\w])")
-_QUOTED = re.compile(r"'[^']*'")
+_QUOTED = re.compile(r"(?<!\w)'[^']*'(?!\w)")  # not the apostrophe of a possessive
 _HEADING = "== "
 _REFUSES = " refuses"
 

@@ -193,11 +193,6 @@ def triple(option: str, text: str) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def split_names(values: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names in an option that may be repeated or comma-separated."""
-    return tuple(word for value in values for word in value.split(","))
-
-
 def image_size(text: str) -> tuple[int, int]:
     """Parse WIDTHxHEIGHT in pixels.
 

@@ -12,7 +12,7 @@ from pcbench.changes import Changes
 from pcbench.comparison.pipeline import compare_candidates, record_time
 from pcbench.comparison.result import Comparison
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, Notice
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
@@ -63,8 +63,7 @@ def compare_in_memory(
         InputError: a cloud, a setting or a region is not usable.
         RegistrationError: a candidate does not overlap the reference.
     """
-    if not candidates:
-        raise InputError("expected at least one candidate, got none")
+    with_cores = settings.with_cores_read()
     for name, shape in {"the reference": reference, **candidates}.items():
         check_lengths(shape, name)
     if settings.vertices:
@@ -78,7 +77,6 @@ def compare_in_memory(
     for name in _poisson_maps(settings):
         step("reconstructing the reference's surface")
         prepared = prepared.with_poisson_mesh(name)
-    with_cores = settings.with_cores_read()
     reference_side = ReferenceInMemory(prepared, with_cores, candidates, clouds)
     compared = compare_candidates(reference_side, list(clouds), timings["reference"], step)
     return Comparison(settings, prepared.summary(), *compared)

@@ -72,6 +72,7 @@ def compare_in_tiles(
     settings: Settings,
     tiling: TilingSettings,
     *,
+    key: str,
     workspace: Path,
     maps: Path | None,
     on_step: Callable[[str], None],
@@ -82,6 +83,7 @@ def compare_in_tiles(
         clouds: the clouds.
         settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
         tiling: settings of the tiles, of memory and of workers.
+        key: identifies the inputs and settings, see `CloudsOnDisk.key`.
         workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
         maps: folder for the maps of all points, which is created; None: no maps are written.
         on_step: called with a short text before each step that takes time.
@@ -92,8 +94,8 @@ def compare_in_tiles(
         WorkerError: a tile needs too much memory, or the cluster is lost.
         PcbenchError: a file changed while it was read.
     """
-    key = clouds.key(settings, tiling)
     folder = workspace.absolute() / key[:16]
+    key = f"{key}{maps is not None}"  # without maps, tiles have no sums for overviews
     with TaskRunner(Workers(tiling.chosen_workers, tiling.cluster), folder / "results", on_step) as runner:
         steps = Steps(runner, folder, key, settings, tiling, tiling.chosen_tile_points, on_step)
         stored = _store(steps, clouds)
@@ -103,7 +105,8 @@ def compare_in_tiles(
             prepared = prepare_reference(steps, stored[REFERENCE], are_small=are_small)
         stages = dict(zip(clouds.candidates, list(stored)[1:], strict=True))
         reference = ReferenceInTiles(steps, prepared, stages, stored, maps)
-        compared = compare_candidates(reference, list(stages), timings["reference"], on_step)
+        # The steps in tiles announce themselves.
+        compared = compare_candidates(reference, list(stages), timings["reference"], lambda _: None)
         return Comparison(settings, reference.summary(), *compared, tiling=reference.describe_tiling())
 
 

@@ -51,17 +51,11 @@ class CloudsOnDisk:
         """Divide the clouds of a request into pieces.
 
         Raises:
-            InputError: coordinates are degrees; or as `pcbench.io.source.Source.pieces`.
-            MissingExtra: a format needs an optional library.
+            InputError, MissingExtra: as `pcbench.io.source.Source.pieces`.
         """
         reference, *candidates = (
             source.pieces(tiling.chosen_piece_points, skip_bad=tiling.skip_bad) for source in request.sources
         )
-        for cloud in (reference, *candidates):
-            if is_in_degrees(cloud.crs, cloud.unit):  # some points, because headers need not state a place
-                points = read_piece(cloud, cloud.pieces[0]).points
-                sample = Cloud(points if len(points) else np.zeros((1, 3)), crs=cloud.crs, unit=cloud.unit)
-                check_lengths(sample, str(cloud.path))
         named = dict(zip(request.candidates, candidates, strict=True))
         return cls(reference, named, tuple(request.sources))
 
@@ -170,7 +164,16 @@ def choose_tiles(request: Request, on_notice: Callable[[str], None], *, draws: b
 def _checked(
     clouds: CloudsOnDisk, choice: TilingChoice, on_notice: Callable[[str], None], *, draws: bool
 ) -> CloudsOnDisk:
-    """Return the clouds, after a notice if tiles of them need more memory than they may use."""
+    """Return the clouds, after a notice if tiles of them need more memory than they may use.
+
+    Raises:
+        InputError: coordinates are degrees.
+    """
+    for cloud in clouds.clouds:
+        if is_in_degrees(cloud.crs, cloud.unit):  # some points, because headers need not state a place
+            points = read_piece(cloud, cloud.pieces[0]).points
+            sample = Cloud(points if len(points) else np.zeros((1, 3)), crs=cloud.crs, unit=cloud.unit)
+            check_lengths(sample, str(cloud.path))
     tiling = choice.settings
     least = clouds.least_memory(tiling, draws=draws)
     if least > tiling.memory:

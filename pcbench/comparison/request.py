@@ -13,6 +13,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, is_path
+from pcbench.io.contents import digest
 from pcbench.io.files import errors_named
 from pcbench.io.las_records import parse_filters
 from pcbench.io.source import Source
@@ -20,6 +21,7 @@ from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings
+from pcbench.report.inputs import InputFile
 from pcbench.report.names import names_of
 from pcbench.report.viewing import CAMERAS_FILE, SceneFolder, SceneLike, ViewingCameras, as_scene
 
@@ -89,6 +91,7 @@ class Request:
         scene: the scene whose cameras select the views, or its folder; or its cameras, if the folder no longer exists.
         tiles: when and how the comparison is computed in tiles; None: in memory.
         recorded: what is known of the inputs if a comparison is repeated.
+        setting_files: the files named in settings, recorded before they were read.
     """
 
     reference: Input
@@ -98,6 +101,7 @@ class Request:
     scene: Scene | SceneFolder | ViewingCameras | None = None
     tiles: TilingChoice | None = None
     recorded: Recorded = field(default_factory=Recorded)
+    setting_files: tuple[InputFile, ...] = ()
 
     @classmethod
     def of(
@@ -115,10 +119,20 @@ class Request:
         Raises:
             InputError: a file cannot be opened, a setting or its file is invalid, or LAS filters fit no input.
         """
+        setting_files = tuple(InputFile(str(path.absolute()), digest(path)) for path in settings.files)
         settings = settings.with_files_read()
         opened, named = _open(reference, settings), _by_name(candidates)
-        inputs = {name: _open(given, settings, vertices=settings.vertices) for name, given in named.items()}
-        request = cls(opened, inputs, settings, figures or Figures(), None if scene is None else as_scene(scene), tiles)
+        if not named:
+            raise InputError("expected at least one candidate, got none")
+        request = cls(
+            opened,
+            {name: _open(given, settings, vertices=settings.vertices) for name, given in named.items()},
+            settings,
+            figures or Figures(),
+            None if scene is None else as_scene(scene),
+            tiles,
+            setting_files=setting_files,
+        )
         wants_classes = settings.classes is not None or settings.returns is not None
         if wants_classes and request.sources and not any(source.has_classes for source in request.sources):
             raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
@@ -190,6 +204,8 @@ def _open(given: Any, settings: Settings, *, vertices: bool = False) -> Input:
     """Open a file, or return a shape in memory."""
     if is_path(given):
         source = Source.open(given, vertices=vertices)
+        if not source.has_classes:
+            return source
         with errors_named(source.path):
             return source.filtered(parse_filters(settings.classes, settings.returns))
     return given if isinstance(given, Mesh) else as_cloud(given)

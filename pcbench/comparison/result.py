@@ -12,12 +12,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.report import exports, plot
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.table import html
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(SourcedComparison):
+class Comparison(FinishedComparison):
     """A finished comparison, with methods that write and show it."""
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:

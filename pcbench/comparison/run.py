@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pcbench.comparison.in_memory import compare_in_memory
 from pcbench.comparison.plan import CloudsOnDisk, choose_tiles
@@ -128,9 +128,9 @@ def run(
     plan = ProgressPlan(step, _expected_seconds(request, outputs, clouds))
     with _workspace(request, clouds, outputs.folder, on_notice) as workspace:  # kept until the report is complete
         if outputs.folder is None:
-            return _compute(request, plan, clouds, workspace)
+            return _compute(request, plan, workspace)
         with report_folder(outputs.folder, keep=request.files) as folder:
-            outcome = _compute(request, plan, clouds, workspace, folder / MAPS)
+            outcome = _compute(request, plan, workspace, folder / MAPS)
             plan("writing the report")
             outcome = replace(outcome, without_page=write_report(folder, outcome.comparison, request.figures))
             if outputs.figures:
@@ -139,10 +139,18 @@ def run(
     return outcome
 
 
+class _Workspace(NamedTuple):
+    """The locked workspace of a tiled comparison: its folder, the key of the comparison, and the clouds."""
+
+    folder: Path
+    key: str
+    clouds: CloudsOnDisk
+
+
 @contextmanager
 def _workspace(
     request: Request, clouds: CloudsOnDisk | None, out: Path | None, on_notice: Callable[[str], None]
-) -> Iterator[Path | None]:
+) -> Iterator[_Workspace | None]:
     """Yield the locked workspace of a tiled comparison; None if it is computed in memory."""
     if clouds is None or request.tiles is None:
         yield None
@@ -154,76 +162,72 @@ def _workspace(
         if path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{folder}: the workspace would replace the input {path}: choose another folder")
     with first_free_workspace(folders, key, on_notice) as workspace:
-        yield workspace
+        yield _Workspace(workspace, key, clouds)
 
 
 def _compute(
-    request: Request,
-    step: ProgressPlan,
-    clouds: CloudsOnDisk | None,
-    workspace: Path | None,
-    map_files: Path | None = None,
+    request: Request, step: ProgressPlan, workspace: _Workspace | None, map_files: Path | None = None
 ) -> ComparisonOutcome:
     """Compare in memory, or in tiles in a workspace.
 
     Args:
         request: the comparison.
         step: called before each step.
-        clouds: the clouds to compare in tiles; None: in memory.
-        workspace: folder for the intermediate files of tiles.
+        workspace: workspace of a comparison in tiles; None: in memory.
         map_files: folder for the map files of a tiled comparison; None: there is no report.
     """
-    setting_files = tuple(InputFile(str(path), digest(path)) for path in request.settings.files)
-    if clouds is None or workspace is None:
-        comparison, further_warnings = _compute_in_memory(request, step, setting_files)
+    texts: tuple[str, ...] = ()
+    if workspace is None:
+        comparison, texts = _compute_in_memory(request, step)
     else:
-        comparison, further_warnings = _compute_in_tiles(request, step, clouds, workspace, map_files, setting_files), ()
-    for file in setting_files:
+        comparison = _compute_in_tiles(request, step, workspace, map_files)
+    for file in request.setting_files:
         if digest(Path(file.path)) != file.sha256:
             raise changed_error(Path(file.path))
     if comparison.inputs is None:
-        return ComparisonOutcome(comparison, further_warnings)
-    comparison = replace(comparison, inputs=_with_changed_inputs(request, comparison, comparison.inputs))
-    files = comparison.inputs.all_files() if comparison.inputs is not None else ()
-    return ComparisonOutcome(comparison, tuple(text for file in files for text in file.warnings))
+        return ComparisonOutcome(comparison, texts)
+    inputs = _with_changed_inputs(request, comparison, comparison.inputs)
+    texts = tuple(text for file in inputs.all_files() for text in file.warnings)
+    return ComparisonOutcome(replace(comparison, inputs=inputs), texts)
 
 
-def _compute_in_memory(
-    request: Request, step: ProgressPlan, setting_files: tuple[InputFile, ...]
-) -> tuple[Comparison, tuple[str, ...]]:
+def _compute_in_memory(request: Request, step: ProgressPlan) -> tuple[Comparison, tuple[str, ...]]:
     """Read the inputs and compare them; also return the warnings that have no input file to be recorded with."""
-    records: dict[str, InputFile] = {}
-    reference = _read(request.reference, "", records, step)
+    reference, reference_file = _read(request.reference, step)
     cameras, texts = None, list[str]()
     if request.scene is not None:
         step("reading the cameras")
         cameras = viewing_cameras(request.scene, reference, texts.append)
-    candidates = {name: _read(given, name, records, step) for name, given in request.candidates.items()}
-    visible = _without_transparent_splats(reference, candidates, request.settings)
-    comparison = compare_in_memory(*visible, request.settings, step.within())
-    if not request.are_files:
+    candidates, files = {}, {}
+    for name, given in request.candidates.items():
+        candidates[name], file = _read(given, step)
+        if file is not None:
+            files[name] = file
+    reference, candidates = _without_transparent_splats(reference, candidates, request.settings)
+    comparison = compare_in_memory(reference, candidates, request.settings, step.within())
+    if reference_file is None or files.keys() != candidates.keys():  # a cloud came from memory
         return replace(comparison, cameras=cameras), tuple(texts)
-    first = records.pop("")
-    first = replace(first, warnings=(*first.warnings, *texts))
-    return replace(comparison, inputs=_inputs(request, first, records, setting_files, None), cameras=cameras), ()
+    reference_file = replace(reference_file, warnings=(*reference_file.warnings, *texts))
+    return replace(comparison, inputs=_inputs(request, reference_file, files, None), cameras=cameras), ()
 
 
 def _compute_in_tiles(
-    request: Request,
-    step: ProgressPlan,
-    clouds: CloudsOnDisk,
-    workspace: Path,
-    map_files: Path | None,
-    setting_files: tuple[InputFile, ...],
+    request: Request, step: ProgressPlan, workspace: _Workspace, map_files: Path | None
 ) -> Comparison:
     """Compare clouds on disk in tiles."""
     from pcbench.comparison.in_tiles import compare_in_tiles
 
     assert request.tiles is not None
-    reference, candidates = clouds.input_files()
-    maps = None if map_files is None else workspace / MAPS
+    reference, candidates = workspace.clouds.input_files()
+    maps = None if map_files is None else workspace.folder / MAPS
     comparison = compare_in_tiles(
-        clouds, request.settings, request.tiles.settings, workspace=workspace, maps=maps, on_step=step.within()
+        workspace.clouds,
+        request.settings,
+        request.tiles.settings,
+        key=workspace.key,
+        workspace=workspace.folder,
+        maps=maps,
+        on_step=step.within(),
     )
     cameras = None
     if request.scene is not None:
@@ -234,42 +238,37 @@ def _compute_in_tiles(
             texts.append(str(error))
         reference = replace(reference, warnings=(*reference.warnings, *texts))
     has_map_files = maps is not None and map_files is not None and _link_maps(maps, map_files)
-    inputs = _inputs(request, reference, candidates, setting_files, request.tiles.settings)
+    inputs = _inputs(request, reference, candidates, request.tiles.settings)
     return replace(comparison, inputs=inputs, cameras=cameras, has_map_files=has_map_files)
 
 
-def _read(given: Input, name: str, records: dict[str, InputFile], step: Callable[[str], None]) -> Cloud | Mesh:
-    """Return a shape in memory, or read a file and add its record.
+def _read(given: Input, step: Callable[[str], None]) -> tuple[Cloud | Mesh, InputFile | None]:
+    """Return a shape, and the record of its file if it is read from one.
 
     Raises:
         InputError: the file cannot be read, or its coordinates are no lengths. The message starts with the path.
         PcbenchError: the file changed while it was read.
     """
     if not isinstance(given, Source):
-        return given
+        return given, None
     step(f"reading {given.path}")
     texts: list[str] = []
     shape, sha256 = given.read_with_digest(texts.append)
     check_lengths(shape, str(given.path))
-    records[name] = InputFile(str(given.path), sha256, tuple(texts))
-    return shape
+    return shape, InputFile(str(given.path), sha256, tuple(texts))
 
 
 def _inputs(
-    request: Request,
-    reference: InputFile,
-    candidates: Mapping[str, InputFile],
-    setting_files: tuple[InputFile, ...],
-    tiling: TilingSettings | None,
+    request: Request, reference: InputFile, candidates: Mapping[str, InputFile], tiling: TilingSettings | None
 ) -> Inputs:
     """Return the records of all input files, and how the comparison was computed in tiles, if it was."""
     scene = request.scene if isinstance(request.scene, SceneFolder) else None
-    return Inputs(reference, candidates, setting_files, scene, tiling)
+    return Inputs(reference, candidates, request.setting_files, scene, tiling)
 
 
 def _without_transparent_splats(
-    reference: Cloud | Mesh, candidates: Mapping[str, Cloud | Mesh], settings: Settings
-) -> tuple[Cloud | Mesh, Mapping[str, Cloud | Mesh]]:
+    reference: Cloud | Mesh, candidates: dict[str, Cloud | Mesh], settings: Settings
+) -> tuple[Cloud | Mesh, dict[str, Cloud | Mesh]]:
     """Return the clouds, with models of Gaussian splats filtered by opacity and largest axis.
 
     Raises:

@@ -110,10 +110,10 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
         InputError: `Intrinsics` does not support the model, or the parameter count is wrong.
     """
     if model not in _SUPPORTED_MODELS or (model == "FULL_OPENCV" and any(p[8:])):
-        known = ", ".join(_SUPPORTED_MODELS)
+        supported = ", ".join(_SUPPORTED_MODELS)
         distorted = " with k3 to k6" if model == "FULL_OPENCV" else ""
         raise InputError(
-            f"expected a camera model of {known}, got {model}{distorted}: undistort the images with COLMAP's"
+            f"expected a camera model of {supported}, got {model}{distorted}: undistort the images with COLMAP's"
             " image_undistorter"
         )
     if len(p) != _PARAMETER_COUNTS[model]:

@@ -268,6 +268,12 @@ def _read_laszip(
     records = decompress(runs).view(record_type(header, extras))
     for line in dict.fromkeys(lines):  # one line, not one per node
         warn(line)
+    first = 0
+    for run in runs:  # each node has its own bounds
+        of_node = records[first : first + run.points]
+        for line in count_records(of_node, run.header).bounds_warnings(run.header):
+            warn(f"{run.name}: {line}")
+        first += run.points
     counts = count_records(records, replace(header, bounds=None))
     fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
     return fields | brightest_of(records), counts
@@ -336,8 +342,8 @@ def _binary_fields(index: EptIndex, columns: dict[str, NDArray[Any]], highest_co
     if set(_NORMALS) <= columns.keys():
         normals = np.stack([columns.pop(name) for name in _NORMALS], axis=1)
     attributes = {name: column for name, column in columns.items() if name not in _LEFT_OUT}
-    known = standard_names(list(attributes), taken=(*XYZ, *COLORS, *NORMALS))
-    attributes = dict(zip(known, attributes.values(), strict=True))
+    names = standard_names(list(attributes), taken=(*XYZ, *COLORS, *NORMALS))
+    attributes = dict(zip(names, attributes.values(), strict=True))
     (x, x0), (y, y0), (z, z0) = (factors[name] for name in _XYZ)
     stored = Storage((x, y, z), (x0, y0, z0), None if colors is None else 8)
     return Fields(points=points, normals=normals, colors=colors, attributes=attributes, stored=stored) | depth

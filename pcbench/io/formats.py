@@ -95,7 +95,7 @@ def format_of(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudF
             "expected a point cloud, got a mesh: sample points on it with `pcbench convert MESH CLOUD.ply --sample N`"
         )
     if form is None:
-        known = ", ".join(extension for extension in formats if extension.startswith("."))
+        extensions = ", ".join(extension for extension in formats if extension.startswith("."))
         got = path.suffix.lower() or "none"
-        raise InputError(f"expected a file with extension {known}; got {got}: rename or convert the file")
+        raise InputError(f"expected a file with extension {extensions}; got {got}: rename or convert the file")
     return form

@@ -151,10 +151,10 @@ def read_geotiff(path: Path) -> Raster:
 
 def _geo_keys(crs: str | None) -> list[float]:
     """Return the key directory of a coordinate system; [] if it has no EPSG code."""
-    found = None if crs is None else epsg_code(crs)
-    if found is None:
+    epsg = None if crs is None else epsg_code(crs)
+    if epsg is None:
         return []
-    code, is_geographic = found
+    code, is_geographic = epsg
     entries = [
         (_MODEL_TYPE, 2 if is_geographic else 1),
         (_RASTER_TYPE, 1),  # a pixel is an area
@@ -182,7 +182,7 @@ def _read_directory(data: bytes) -> dict[int, Any]:
     if (mark, version) != (b"II", 42):
         raise ValueError("it is no little-endian TIFF")
     (count,) = struct.unpack_from("<H", data, start)
-    found: dict[int, Any] = {}
+    tags: dict[int, Any] = {}
     for k in range(count):
         place = start + 2 + _ENTRY.size * k
         tag, kind, length, _ = _ENTRY.unpack_from(data, place)
@@ -191,5 +191,5 @@ def _read_directory(data: bytes) -> dict[int, Any]:
         if struct.calcsize(form) > 4:
             (place,) = struct.unpack_from("<I", data, place)
         values = struct.unpack_from(form, data, place)
-        found[tag] = values[0] if kind == _ASCII else values
-    return found
+        tags[tag] = values[0] if kind == _ASCII else values
+    return tags

@@ -102,11 +102,11 @@ def _object(kind: Any, values: Mapping[str, Any]) -> Any:
         notices = zip(values.get(_CODES, ()), values["warnings"], strict=True)
         values = {**values, "warnings": [{"code": code, "text": text} for code, text in notices]}
     converted = {}
-    for name, of in types.items():
+    for name, field_type in types.items():
         if _is_flat(kind, name):
-            converted[name] = _flat_object(of, values)
+            converted[name] = _flat_object(field_type, values)
         elif name in values or _is_required(kind, name):
-            converted[name] = _converted(of, values[name])
+            converted[name] = _converted(field_type, values[name])
     return kind(**converted)
 
 

@@ -155,8 +155,8 @@ def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimen
             warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
         else:
             attributes[name] = column
-    known = standard_names(list(attributes), taken=(*XYZ, *COLORS))
-    attributes = dict(zip(known, attributes.values(), strict=True))
+    attribute_names = standard_names(list(attributes), taken=(*XYZ, *COLORS))
+    attributes = dict(zip(attribute_names, attributes.values(), strict=True))
     normals = take_normals(attributes)
     crs, unit = read_crs(header.records, warn)
     return Fields(

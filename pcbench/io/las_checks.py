@@ -15,6 +15,7 @@ from pcbench.io.files import Warn
 from pcbench.io.las_header import LasHeader
 from pcbench.io.las_records import AXES, returns_of
 
+_CAUSE = "the header was not updated, or points are damaged"
 _ROUNDING_SHARE = 1e-12  # relative rounding difference between writers
 _MAX_RETURNS = 15
 
@@ -63,19 +64,23 @@ class LasCounts:
             lines.append(f"kept {self.withheld} of {self.count} points that are marked as withheld")
         return lines
 
-    def _differences(self, header: LasHeader) -> list[str]:
+    def bounds_warnings(self, header: LasHeader) -> list[str]:
+        """Return one line for each axis along which points lie outside the bounds in the header."""
         lines = []
-        cause = "the header was not updated, or points are damaged"
         limits = np.abs(header.bounds or np.zeros((2, 3))).max(axis=0)
         for axis, scale, limit, beyond in zip(AXES, header.scales, limits, self.outside, strict=True):
             if beyond > abs(scale) + _ROUNDING_SHARE * limit:
                 lines.append(
-                    f"points lie up to {beyond:.6g} units outside the header's bounds in {axis.lower()}: {cause}"
+                    f"points lie up to {beyond:.6g} units outside the header's bounds in {axis.lower()}: {_CAUSE}"
                 )
+        return lines
+
+    def _differences(self, header: LasHeader) -> list[str]:
+        lines = self.bounds_warnings(header)
         counts = self.by_return[1 : len(header.by_return) + 1]
         if self.count == header.count and header.by_return and counts != header.by_return:
             k = next(k for k, pair in enumerate(zip(counts, header.by_return, strict=True)) if pair[0] != pair[1])
-            lines.append(f"{counts[k]} points are return {k + 1}, the header states {header.by_return[k]}: {cause}")
+            lines.append(f"{counts[k]} points are return {k + 1}, the header states {header.by_return[k]}: {_CAUSE}")
         return lines
 
 

@@ -113,16 +113,16 @@ def _from_geo_keys(keys: _GeoKeys, warn: Warn) -> tuple[str | None, str | None]:
             return grid, single_unit(grid, warn)
         return None, keys.unit
     code = f"EPSG:{keys.code}+{keys.vertical}" if keys.vertical else f"EPSG:{keys.code}"
-    known = axis_units(code)
-    if known is None:  # without pyproj, or an unknown code
+    units = axis_units(code)
+    if units is None:  # without pyproj, or an unknown code
         crs, unit = _identified(code, warn)
         mixed = not keys.is_geographic and keys.height_unit not in (None, keys.unit)
         return crs, unit or (None if mixed else keys.unit)
-    horizontal = known.horizontal if keys.is_geographic else keys.unit or known.horizontal
-    height = keys.height_unit or known.height
+    horizontal = units.horizontal if keys.is_geographic else keys.unit or units.horizontal
+    height = keys.height_unit or units.height
     if not keys.vertical and height == horizontal:
-        height = known.height
-    if (horizontal, height) == known:
+        height = units.height
+    if (horizontal, height) == units:
         return _identified(code, warn)
     try:
         crs = with_units(code, horizontal, height)

@@ -54,10 +54,10 @@ class MapOverview:
             rows, columns = padded.shape
             return padded.reshape(rows // 2, 2, columns // 2, 2).swapaxes(1, 2).reshape(rows // 2, columns // 2, 4)
 
-        known = blocks(self.count) > 0
+        has_points = blocks(self.count) > 0
         count = blocks(self.count).sum(axis=2)
-        total = np.where(known, blocks(self.count) * blocks(self.mean), 0).sum(axis=2)
-        largest = np.where(known, blocks(self.largest), -np.inf).max(axis=2)
+        total = np.where(has_points, blocks(self.count) * blocks(self.mean), 0).sum(axis=2)
+        largest = np.where(has_points, blocks(self.largest), -np.inf).max(axis=2)
         mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
         return MapOverview(mean, np.where(count > 0, largest, np.nan), count, self.west, self.north, 2 * self.pixel)
 

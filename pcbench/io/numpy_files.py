@@ -123,8 +123,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
     texts = {name: _read_text(archive, members.pop(name), name, warn) for name in _TEXT_NAMES if name in members}
     for name, others in _ARRAY_NAMES.items():
-        if name not in members and (known := next((other for other in others if other in members), None)):
-            members[name] = members.pop(known)
+        if name not in members and (similar := next((other for other in others if other in members), None)):
+            members[name] = members.pop(similar)
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
     if key not in members:
         raise InputError(f"expected an array 'points', got {_list_names(members)}: save the points under that name")
@@ -140,7 +140,7 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     for name, header in headers.items():
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
-                file.seek(header.header_bytes)
+                file.read(header.header_bytes)  # after a seek, zipfile would not verify the check sum
                 arrays[name] = _read_data(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
@@ -239,13 +239,13 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
     """Parse the header of an array in format version 1 or 2, and leave the file at its data."""
     head = BytesIO(file.read(_MAX_HEADER_BYTES))  # numpy requests all the bytes that a damaged header states
     try:
-        parse = np.lib.format.read_array_header_1_0
-        if np.lib.format.read_magic(head) != (1, 0):
-            parse = np.lib.format.read_array_header_2_0
+        # Version 3 is only needed for field names that are not Latin.
+        parsers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        parse = parsers[np.lib.format.read_magic(head)]
         shape, fortran_order, dtype = parse(head, max_header_size=_MAX_HEADER_BYTES)
         if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
             raise ValueError
-    except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
+    except Exception as error:  # numpy's ValueError, another version, any error of Python's parser on damaged text
         got = head.getvalue()[:70]
         raise InputError(f"expected an array of numbers as numpy.save writes it, got {got!r}: save it again") from error
     if dtype.names:

@@ -114,12 +114,12 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 x, y, z = words[1:4]
                 coordinates.extend((float(x), float(y), float(z)))
             elif words[0] in (b"f", b"fo"):
-                known = len(coordinates) // 3
+                count = len(coordinates) // 3
                 for word in words[1:]:
                     corner = int(word.partition(b"/")[0])
-                    if not -known <= corner or not corner:  # a larger index may refer to a later vertex
+                    if not -count <= corner or not corner:  # a larger index may refer to a later vertex
                         raise ValueError
-                    corners.append(corner - 1 if corner > 0 else known + corner)
+                    corners.append(corner - 1 if corner > 0 else count + corner)
                 lengths.append(len(words) - 1)
             else:
                 left_out += 1

@@ -220,8 +220,8 @@ def _field_names(words: list[str]) -> list[str]:
     names = [word for word in words if word != "_"]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"header: expected unique field names, got {twice[:40]!r} twice: rename one of them")
-    known = iter(standard_names(names))
-    return [word if word == "_" else next(known) for word in words]
+    standard = iter(standard_names(names))
+    return [word if word == "_" else next(standard) for word in words]
 
 
 def _check_fields(fields: list[_Field]) -> None:

@@ -241,7 +241,7 @@ class Source:
         """
         contents = self.contents() if contents is None else contents
         digests = {file: contents[file].sha256 for file in self.content_files() if file in contents}
-        if self.tiles is None and len(digests) == 1:
+        if self.tiles is None and not self.path.is_dir() and len(digests) == 1:
             return next(iter(digests.values()))
         return FILES_PREFIX + combined_digest(digests)
 
@@ -287,8 +287,8 @@ class Source:
     def _mesh_format(self) -> MeshFormat:
         extension = self.file.suffix.lower()
         if extension not in MESHES:
-            known = ", ".join(MESHES)
-            raise InputError(f"expected a mesh file with extension {known}; got {extension or 'no extension'!r}")
+            extensions = ", ".join(MESHES)
+            raise InputError(f"expected a mesh file with extension {extensions}; got {extension or 'no extension'!r}")
         return MESHES[extension]
 
 

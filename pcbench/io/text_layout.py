@@ -120,9 +120,9 @@ def find_layout(lines: list[str]) -> TableLayout:
         ends_with_delimiter = False
         words.append("")
     if header is not None:
-        found: _TableHeader | None = _read_header(*header, len(words), units)
+        table_header: _TableHeader | None = _read_header(*header, len(words), units)
     else:
-        found = _read_comment(comment, len(words), warnings)
+        table_header = _read_comment(comment, len(words), warnings)
     if ends_with_delimiter:
         warnings.append("left out the empty column after the delimiter at the end of each line")
     decimal_comma = delimiter != "," and _has_decimal_commas(lines[index:], delimiter)
@@ -134,13 +134,13 @@ def find_layout(lines: list[str]) -> TableLayout:
         first=index,
         delimiter=delimiter,
         width=len(words),
-        names=found and found.names,
+        names=table_header and table_header.names,
         points=count,
-        crs=tags.get("crs") or (found and found.crs),
-        unit=tags.get("unit") or (found and found.unit),
+        crs=tags.get("crs") or (table_header and table_header.crs),
+        unit=tags.get("unit") or (table_header and table_header.unit),
         decimal_comma=decimal_comma,
         ends_with_delimiter=ends_with_delimiter,
-        warnings=(*(found.warnings if found else ()), *warnings),
+        warnings=(*(table_header.warnings if table_header else ()), *warnings),
     )
 
 
@@ -223,8 +223,8 @@ def _has_decimal_commas(lines: Iterable[str], delimiter: str | None) -> bool:
 
 
 def _is_units_row(words: list[str]) -> bool:
-    known = sum(_UNIT_WORD.fullmatch(word) is not None for word in words)
-    return known >= 3 and all(len(word) <= 20 and not NUMBER.fullmatch(word) for word in words)
+    unit_words = sum(_UNIT_WORD.fullmatch(word) is not None for word in words)
+    return unit_words >= 3 and all(len(word) <= 20 and not NUMBER.fullmatch(word) for word in words)
 
 
 def _words_of(header: str) -> list[str]:
@@ -257,15 +257,15 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
     words = _words_of(text)
     names, units = _names(words)
     unique = list(names)
-    for at, name in enumerate(names):
-        if name in names[:at] and name.lower() not in XYZ:
-            unique[at] = f"{name}_{at + 1}"
+    for position, name in enumerate(names):
+        if name in names[:position] and name.lower() not in XYZ:
+            unique[position] = f"{name}_{position + 1}"
     if twice := next((name for name in unique if unique.count(name) > 1), None):
         raise InputError(
             f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
         )
-    known = standard_names(unique)
-    if missing := [name for name in XYZ if name not in known]:
+    standard = standard_names(unique)
+    if missing := [name for name in XYZ if name not in standard]:
         raise InputError(
             f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {excerpt(text)}: name the"
             " columns in this line"
@@ -277,10 +277,10 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
     warnings = []
     if repeated := len(set(unique) - set(names)):
         warnings.append(f"numbered {repeated} repeated column name{'s' * (repeated > 1)}")
-    stated = {(units_row or units)[known.index(axis)].strip("[]()") for axis in XYZ}
+    stated = {(units_row or units)[standard.index(axis)].strip("[]()") for axis in XYZ}
     if is_geographic := any(
-        word.lower() in _GEOGRAPHIC and known[at] in XYZ
-        for at, word in enumerate(_UNIT.sub(r"\1", word).strip() for word in words)
+        word.lower() in _GEOGRAPHIC and standard[position] in XYZ
+        for position, word in enumerate(_UNIT.sub(r"\1", word).strip() for word in words)
     ):
         warnings.append(f"longitude and latitude are read as x and y in degrees ({_WGS84})")
     elif len(stated) > 1 and "" not in stated:
@@ -289,7 +289,7 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
             " one unit"
         )
     unit = next(iter(stated)) if len(stated) == 1 and not is_geographic else ""
-    return _TableHeader(known, unit or None, _WGS84 if is_geographic else None, warnings)
+    return _TableHeader(standard, unit or None, _WGS84 if is_geographic else None, warnings)
 
 
 def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _TableHeader | None:

@@ -205,9 +205,9 @@ def sum_queries(
     stable = np.flatnonzero(labels == STABLE)
     for start in range(0, max(len(stable), 1), _CHUNK):
         queries = stable[start : start + _CHUNK]
-        at = queries if rows is None else rows[queries]
-        here = (places[at] - frame.center) / frame.radius
-        of_chunk = equations(here, normals[at], distances[queries] / frame.radius)
+        rows_of_block = queries if rows is None else rows[queries]
+        here = (places[rows_of_block] - frame.center) / frame.radius
+        of_chunk = equations(here, normals[rows_of_block], distances[queries] / frame.radius)
         moments, scores = moments + of_chunk[0], scores + of_chunk[1]
     return BudgetSums(np.bincount(labels + FIRST, None, size), squares, np.asarray(moments), np.asarray(scores))
 
@@ -310,12 +310,12 @@ def _visible_polynomials(gram: FloatArray, matrix: FloatArray, power: float) -> 
         power: mean squared noise along the normals, in the frame's unit.
     """
     noise = power * _GRADIENTS @ matrix @ _GRADIENTS.T
-    found, by_degree = np.zeros((len(gram), 0)), []
+    basis, by_degree = np.zeros((len(gram), 0)), []
     for degree in range(DEGREE + 1):
-        new = _orthonormal(np.eye(len(gram))[:, degree == _DEGREES], gram, found)
+        new = _orthonormal(np.eye(len(gram))[:, degree == _DEGREES], gram, basis)
         values, vectors = np.linalg.eigh(new.T @ noise @ new)
-        found = np.hstack([found, new @ vectors[:, values <= _MIN_PLACE_RATIO**-2]])
-        by_degree.append(found)
+        basis = np.hstack([basis, new @ vectors[:, values <= _MIN_PLACE_RATIO**-2]])
+        by_degree.append(basis)
     return by_degree
 
 
@@ -325,9 +325,9 @@ def _fields(polynomials: FloatArray) -> FloatArray:
     return fields
 
 
-def _orthonormal(columns: FloatArray, form: FloatArray, known: FloatArray) -> FloatArray:
+def _orthonormal(columns: FloatArray, form: FloatArray, earlier: FloatArray) -> FloatArray:
     """Return an orthonormal basis (N, K) of columns (N, P) beyond known ones, in a quadratic form (N, N)."""
-    beyond = columns - known @ (known.T @ form @ columns)
+    beyond = columns - earlier @ (earlier.T @ form @ columns)
     values, vectors = np.linalg.eigh(beyond.T @ form @ beyond)
     enough = values > _MIN_EIGENVALUE
     basis: FloatArray = beyond @ (vectors[:, enough] / np.sqrt(values[enough]))
@@ -337,13 +337,13 @@ def _orthonormal(columns: FloatArray, form: FloatArray, known: FloatArray) -> Fl
 def _gradients() -> FloatArray:
     """Return (20, 60) coefficients of the gradients of the monomials as displacement fields."""
     row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
-    found = np.zeros((len(EXPONENTS), 3 * len(EXPONENTS)))
+    gradients = np.zeros((len(EXPONENTS), 3 * len(EXPONENTS)))
     for number, powers in enumerate(EXPONENTS.tolist()):
         for axis in range(3):
             if powers[axis]:
                 lower = tuple(power - (k == axis) for k, power in enumerate(powers))
-                found[number, 3 * row[lower] + axis] = powers[axis]
-    return found
+                gradients[number, 3 * row[lower] + axis] = powers[axis]
+    return gradients
 
 
 _GRADIENTS = _gradients()

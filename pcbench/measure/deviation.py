@@ -154,8 +154,8 @@ class M3C2(NamedTuple):
     @property
     def significant(self) -> FloatArray:
         """(K,) 1 if |distance| exceeds the level of detection, 0 if it does not, NaN if it cannot be tested."""
-        known = np.isfinite(self.distances) & np.isfinite(self.lod)
-        return np.where(known, np.abs(self.distances) > self.lod, np.nan)
+        has_level = np.isfinite(self.distances) & np.isfinite(self.lod)
+        return np.where(has_level, np.abs(self.distances) > self.lod, np.nan)
 
     @property
     def spread(self) -> Spread:
@@ -244,10 +244,10 @@ def _positions_along(
 def _positions_along_block(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    found = index.query_cylinder(cores, normals, radius, half_length)
-    core = np.repeat(np.arange(len(cores)), found.counts)
-    position = np.einsum("ni,ni->n", index.points[found.indices] - cores[core], normals[core])
-    count = found.counts
+    points = index.query_cylinder(cores, normals, radius, half_length)
+    core = np.repeat(np.arange(len(cores)), points.counts)
+    position = np.einsum("ni,ni->n", index.points[points.indices] - cores[core], normals[core])
+    count = points.counts
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.bincount(core, position, minlength=len(cores)) / count
         variance = np.bincount(core, np.square(position - mean[core]), minlength=len(cores)) / count

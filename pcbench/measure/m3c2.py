@@ -67,39 +67,39 @@ def compare_along_normals(
     return result.with_registration_error(_registration_error(result, registration) if error is None else error)
 
 
-def _registration_error(found: M3C2, registration: Registration) -> float:
+def _registration_error(result: M3C2, registration: Registration) -> float:
     """Return the standard error of the pose along the normals: 0 for a pose that the user gave.
 
     Control points determine it by their residuals. A pose that was fitted to the clouds is at least as uncertain as the
     distances of its stable area are larger than their own standard errors.
 
     Args:
-        found: map without a registration error, in the reference's coordinates.
+        result: map without a registration error, in the reference's coordinates.
         registration: the registration.
     """
     if registration.is_given:
         return 0.0
-    errors = [] if registration.residuals else [_stable_error(found)]
+    errors = [] if registration.residuals else [_stable_error(result)]
     if registration.covariance is not None:
-        has_normal = np.isfinite(found.normals[:, 0])
-        sigmas = registration.covariance.sigma_along(found.cores[has_normal], found.normals[has_normal])
+        has_normal = np.isfinite(result.normals[:, 0])
+        sigmas = registration.covariance.sigma_along(result.cores[has_normal], result.normals[has_normal])
         sigmas = sigmas[np.isfinite(sigmas)]
         errors.append(float(np.sqrt(np.mean(np.square(sigmas)))) if len(sigmas) else 0.0)
     return max(errors, default=0.0)
 
 
-def _stable_error(found: M3C2) -> float:
+def _stable_error(result: M3C2) -> float:
     """Return the standard deviation about zero that the distances of the stable area have beyond their own errors.
 
     Where nothing changed, a registered candidate lies on the reference. So the stable area is found around zero, as the
     distances within three of their standard deviations. The first guess includes a quarter of the distances, so that
     up to three quarters may have changed.
     """
-    sigma = found.sigma
-    tested = np.isfinite(sigma) & np.isfinite(found.distances)
+    sigma = result.sigma
+    tested = np.isfinite(sigma) & np.isfinite(result.distances)
     if not tested.any():
         return 0.0
-    offsets, variances = np.abs(found.distances[tested]), np.square(sigma[tested])
+    offsets, variances = np.abs(result.distances[tested]), np.square(sigma[tested])
     deviation = max(float(np.quantile(offsets, 0.25)) / _QUARTER_QUANTILE, float(np.sqrt(np.median(variances))))
     for _ in range(_MAX_CLIPPINGS):
         stable = offsets <= 3 * deviation
@@ -110,14 +110,14 @@ def _stable_error(found: M3C2) -> float:
     return float(np.sqrt(max(deviation**2 - np.median(variances[stable]), 0.0)))
 
 
-def m3c2_warnings(found: M3C2) -> Iterator[Notice]:
+def m3c2_warnings(result: M3C2) -> Iterator[Notice]:
     """Warn if the map is empty because no cylinder holds enough points."""
-    if np.isfinite(found.significant).any():
+    if np.isfinite(result.significant).any():
         return
-    measured = int(np.count_nonzero(np.isfinite(found.distances)))
+    measured = int(np.count_nonzero(np.isfinite(result.distances)))
     text = (
-        f"M3C2 has no result: cylinders of radius {found.radius:.3g} and half length {found.half_length:.3g} contain"
-        f" points of both clouds at {measured} of {pluralize(len(found.cores), 'core point')}, and the five points per"
+        f"M3C2 has no result: cylinders of radius {result.radius:.3g} and half length {result.half_length:.3g} contain"
+        f" points of both clouds at {measured} of {pluralize(len(result.cores), 'core point')}, and the five points per"
         " cloud that a level of detection needs at none: enlarge them with --m3c2 radius=... and depth=..., and check"
         " that cores are in the reference's coordinates"
     )

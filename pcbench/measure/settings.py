@@ -29,6 +29,7 @@ from pcbench.options import (
     setting,
 )
 from pcbench.registration import Method, as_method, as_similarity
+from pcbench.registration.given import method_file
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
 _THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
@@ -86,20 +87,14 @@ class Settings:
         metavar="NAME",
         is_repeatable=True,
     )
-    m3c2: M3C2Settings | str | None = setting(
-        None,
-        "--m3c2",
-        "Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
-        metavar="NAME=VALUE,...",
+    seed: int = setting(
+        0,
+        "--seed",
+        "Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.",
+        bounds=Bounds(int, 0),
+        shows_default=True,
     )
-    tolerance: float | None = setting(
-        None,
-        "--tolerance",
-        "For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
-        " interval of their mean square within this tolerance, such as 1%.",
-        metavar="PERCENT",
-        parse=parse_share,
-    )
+    normal_neighbors: int = 20
     classes: tuple[int, ...] | None = setting(
         None, "--classes", "Use only these classes of LAS files, such as 2,6.", metavar="N,N,...", parse=parse_integers
     )
@@ -124,20 +119,26 @@ class Settings:
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
     )
+    initial: Similarity | ArrayLike | None = None
+    m3c2: M3C2Settings | str | None = setting(
+        None,
+        "--m3c2",
+        "Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
+        metavar="NAME=VALUE,...",
+    )
+    tolerance: float | None = setting(
+        None,
+        "--tolerance",
+        "For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
+        " interval of their mean square within this tolerance, such as 1%.",
+        metavar="PERCENT",
+        parse=parse_share,
+    )
     vertices: bool = setting(
         False,
         "--vertices",
         "Measure a candidate mesh at its vertices rather than at points sampled on its faces.",
     )
-    seed: int = setting(
-        0,
-        "--seed",
-        "Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.",
-        bounds=Bounds(int, 0),
-        shows_default=True,
-    )
-    normal_neighbors: int = 20
-    initial: Similarity | ArrayLike | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -178,7 +179,7 @@ class Settings:
             InputError: there is no such method, or a file cannot be read.
         """
         register, crop, m3c2 = self.register, self.crop, self.m3c2
-        if isinstance(register, str) and (file := as_method(register).file) is not None:
+        if isinstance(register, str) and (file := method_file(register)) is not None:
             register = as_method(f"{register.partition(':')[0]}:{file.absolute()}")
         if isinstance(crop, str) and (file := region_file(crop)) is not None:
             crop = read_polygon(file.absolute())
@@ -189,14 +190,15 @@ class Settings:
     @property
     def files(self) -> list[Path]:
         """Files that the settings name: those of the registration, the region and the core points of M3C2."""
-        method = None if isinstance(self.register, str) else as_method(self.register).file
+        named = self.register if isinstance(self.register, str) else None
+        method = as_method(self.register).file if named is None else method_file(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
         return [*filter(None, (method, region_file(self.crop), cores))]
 
     @property
     def measured_presets(self) -> tuple[str, ...]:
         """The presets that are computed: those that are always reported, and the given ones."""
-        return tuple(dict.fromkeys((*presets.ALWAYS, *self.presets)))
+        return (*(name for name in presets.ALWAYS if name not in self.presets), *self.presets)
 
     def thresholds_for(self, spacing: float) -> tuple[float, ...]:
         """Return the thresholds of the F-score for a reference of this spacing."""

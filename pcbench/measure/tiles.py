@@ -85,21 +85,21 @@ def deviations_by_tile(grid: TileGrid, points: FloatArray, values: FloatArray) -
     tiles = np.where(np.isfinite(values), grid.tiles_of(points), -1)
     order = np.argsort(tiles, kind="stable")
     numbers, starts, counts = np.unique(tiles[order], return_index=True, return_counts=True)
-    found = [
+    by_tile = [
         _deviations(grid, int(number), points[rows], values[rows])
         for number, start, count in zip(numbers, starts, counts, strict=True)
         if number >= 0 and count >= MIN_TILE_POINTS
         for rows in [order[start : start + count]]
     ]
-    return sorted(found, key=lambda deviations: -deviations.p95)
+    return sorted(by_tile, key=lambda deviations: -deviations.p95)
 
 
 def _deviations(grid: TileGrid, tile: int, points: FloatArray, values: FloatArray) -> TileDeviations:
     third = 3 - sum(grid.axes)
     corner = grid.lower_corner(tile)
-    at = [0.0, 0.0, 0.0]
+    position = [0.0, 0.0, 0.0]
     for axis, low in zip(grid.axes, corner, strict=True):
-        at[axis] = low + 0.5 * grid.size
-    at[third] = median(np.ascontiguousarray(points[:, third]))
+        position[axis] = low + 0.5 * grid.size
+    position[third] = median(np.ascontiguousarray(points[:, third]))
     p95 = float(percentiles(np.abs(values), [95])[0])
-    return TileDeviations(tile, (at[0], at[1], at[2]), len(values), median(values), nmad(values), p95)
+    return TileDeviations(tile, (position[0], position[1], position[2]), len(values), median(values), nmad(values), p95)

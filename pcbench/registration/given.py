@@ -61,6 +61,11 @@ def file_named(text: str, kind: str) -> Path | None:
     return Path(file) if file and name == kind else None
 
 
+def method_file(text: str) -> Path | None:
+    """Return FILE of the method text `points:FILE` or `matrix:FILE`; None for another text."""
+    return file_named(text, "points") or file_named(text, "matrix")
+
+
 def as_similarity(pose: Similarity | ArrayLike) -> Similarity:
     """Convert a pose, a `Similarity` or a 4x4 array, to a `Similarity`.
 

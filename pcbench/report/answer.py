@@ -23,7 +23,7 @@ from pcbench.registration.result import (
 )
 from pcbench.registration.rounding import COARSE_STEP
 from pcbench.report.budget import budget_sentence, changes_of, changes_sentence, largest_part, source_words
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.moved import is_offset, place_sentence
 from pcbench.report.notes import CLAIMS, deformation_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
@@ -94,7 +94,7 @@ class _Distance(NamedTuple):
         return self.floor is None or self.value <= MAX_NOISE_RATIO * self.floor
 
 
-def answer(comparison: SourcedComparison) -> list[str]:
+def answer(comparison: FinishedComparison) -> list[str]:
     """Return two to five sentences on a comparison, without distances if all registrations are doubtful.
 
     A sentence before them says where candidates lie as a whole, if registration moved them or none was made.
@@ -112,7 +112,7 @@ def answer(comparison: SourcedComparison) -> list[str]:
 class _Writer:
     """Writes sentences about the candidates of a comparison, with units and shortened names."""
 
-    def __init__(self, comparison: SourcedComparison) -> None:
+    def __init__(self, comparison: FinishedComparison) -> None:
         self.comparison = comparison
         names = [c.name for c in comparison]
         short = [shorten_name(name, _MAX_NAME_COLUMNS) for name in names]

@@ -24,7 +24,7 @@ from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.registration import Registration
-from pcbench.report.inputs import InputFile, SourcedComparison
+from pcbench.report.inputs import FinishedComparison, InputFile
 from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.comparison/1"
@@ -33,7 +33,7 @@ REGISTRATION_SCHEMA = "pcbench.registration/1"
 _CODE_PATHS = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")
 
 
-def document(comparison: SourcedComparison) -> dict[str, Any]:
+def document(comparison: FinishedComparison) -> dict[str, Any]:
     """Return a comparison as JSON values."""
     inputs = comparison.inputs
     values = {
@@ -91,7 +91,7 @@ def _file(file: InputFile | None) -> dict[str, Any]:
     return {"path": None, "sha256": None, "warnings": []} if file is None else asdict(file)
 
 
-def _reference(comparison: SourcedComparison) -> dict[str, Any]:
+def _reference(comparison: FinishedComparison) -> dict[str, Any]:
     reference = comparison.reference
     file_values = _file(None if comparison.inputs is None else comparison.inputs.reference)
     return {
@@ -101,7 +101,7 @@ def _reference(comparison: SourcedComparison) -> dict[str, Any]:
     }
 
 
-def _tiling(comparison: SourcedComparison) -> dict[str, Any] | None:
+def _tiling(comparison: FinishedComparison) -> dict[str, Any] | None:
     """Return how a comparison was computed in tiles, and whether its maps have files of all points."""
     tiling = comparison.tiling
     if tiling is None:

@@ -7,13 +7,13 @@ from typing import Any
 
 from pcbench.extras import require
 from pcbench.measure.results import ARROWS
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.markup import csv_text, latex, latex_row
 from pcbench.report.summary import main_lines
 from pcbench.report.table import Row, markdown, rows
 
 
-def data_frame(comparison: SourcedComparison) -> Any:
+def data_frame(comparison: FinishedComparison) -> Any:
     """Return the rows of metrics.csv as a `pandas.DataFrame`.
 
     Raises:
@@ -22,7 +22,7 @@ def data_frame(comparison: SourcedComparison) -> Any:
     return require("pandas").DataFrame(list(rows(comparison)), columns=list(Row._fields))
 
 
-def latex_table(comparison: SourcedComparison) -> str:
+def latex_table(comparison: FinishedComparison) -> str:
     """Return the main metrics as a LaTeX table with two columns per candidate; it needs the package booktabs."""
     names = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison)
     unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
@@ -39,7 +39,7 @@ def latex_table(comparison: SourcedComparison) -> str:
     return "\n".join([*text, r"\bottomrule", r"\end{tabular}", ""])
 
 
-TABLES: dict[str, Callable[[SourcedComparison], str]] = {
+TABLES: dict[str, Callable[[FinishedComparison], str]] = {
     "latex": latex_table,
     "markdown": markdown,
     "csv": lambda comparison: csv_text(Row._fields, rows(comparison)),

@@ -26,7 +26,7 @@ from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import deformation_values, document
 from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, page, write_page
-from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.inputs import FinishedComparison, InputFile, Inputs
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
@@ -72,7 +72,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> str | None:
+def write_report(folder: Path, comparison: FinishedComparison, figures: Figures | None = None) -> str | None:
     """Write a comparison into an empty folder, without its pictures.
 
     settings.json, which repeats the comparison, is written only if all clouds came from files.
@@ -190,7 +190,7 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
     }
 
 
-def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -> None:
+def _write_maps(folder: Path, comparison: FinishedComparison, figures: Figures) -> None:
     """Write NAME_deviation.ply (and .laz for a LAS input), NAME_completeness.ply and NAME_m3c2.ply.
 
     They have named scalars, and RGB for viewers that show no scalars.
@@ -221,7 +221,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 
-def _colour_cloud(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
+def _colour_cloud(deviation: DeviationMap, scale: Range, comparison: FinishedComparison) -> Cloud:
     """Return the points with their scalars, those of an even sample first: comparison.json has their number."""
     rows = slice(None) if deviation.sample_step is None else np.argsort(~deviation.is_even, kind="stable")
     return Cloud(
@@ -269,13 +269,13 @@ def write_field(stem: str, deformation: Deformation, crs: str | None, unit: str 
     write_cloud(f"{stem}.csv", Cloud(field.places, attributes=columns))
 
 
-def _m3c2_cloud(found: M3C2, comparison: SourcedComparison) -> Cloud:
+def _m3c2_cloud(result: M3C2, comparison: FinishedComparison) -> Cloud:
     attributes = {
-        "m3c2_distance": found.distances.astype(np.float32),
-        "lod95": found.lod.astype(np.float32),
-        "significant": found.significant.astype(np.float32),
-        "count_reference": found.counts_reference.astype(np.int32),
-        "count_candidate": found.counts_candidate.astype(np.int32),
+        "m3c2_distance": result.distances.astype(np.float32),
+        "lod95": result.lod.astype(np.float32),
+        "significant": result.significant.astype(np.float32),
+        "count_reference": result.counts_reference.astype(np.int32),
+        "count_candidate": result.counts_candidate.astype(np.int32),
     }
     crs, unit = comparison.reference.crs, comparison.reference.unit
-    return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
+    return Cloud(result.cores, normals=result.normals, attributes=attributes, crs=crs, unit=unit)

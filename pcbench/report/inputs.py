@@ -50,7 +50,7 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SourcedComparison:
+class FinishedComparison:
     """A reference, its candidates, and the differences between them; `comparison["a"]` is the candidate named a.
 
     Attributes:

@@ -8,14 +8,14 @@ from pcbench.measure.reference import ARBITRARY_SIGN, UNSIGNED_MESH
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import with_unit
 from pcbench.registration import Registration, RemovedMotion
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.words import interval_text, length, length_number, rounding_limit
 
 MIN_VERTICAL_SHARE = 0.9
 """Share of a motion that is vertical, from which it is called up or down."""
 
 
-def is_offset(comparison: SourcedComparison, candidate: Candidate) -> bool:
+def is_offset(comparison: FinishedComparison, candidate: Candidate) -> bool:
     """Return whether a candidate whose pose ICP did not fit lies significantly above or below the reference."""
     offset, is_fitted = candidate.offset, candidate.registration.converged is not None
     if offset is None or is_fitted or not offset.is_significant or abs(offset.median) <= rounding_limit(comparison):
@@ -23,7 +23,7 @@ def is_offset(comparison: SourcedComparison, candidate: Candidate) -> bool:
     return all(notice.code not in (ARBITRARY_SIGN, UNSIGNED_MESH) for notice in comparison.reference.warnings)
 
 
-def place_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
+def place_sentence(comparison: FinishedComparison, candidate: Candidate, name: str) -> str:
     """Return where a candidate lies as a whole; empty if it lies on the reference in its given coordinates.
 
     If both clouds have the same frame, the sentence states the motion that registration removed, and where the given

@@ -18,7 +18,7 @@ from pcbench.measure.results import (
 )
 from pcbench.measure.wording import pluralize, with_unit
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import label_of
 from pcbench.report.moved import motion_clause, place_sentence
 from pcbench.report.words import interval_text, join_words, length, one_line, percentage, sample_count
@@ -35,7 +35,7 @@ _REPORTED_DIFFERENCES = (  # all are squared lengths
 )
 
 
-def warnings(comparison: SourcedComparison) -> list[str]:
+def warnings(comparison: FinishedComparison) -> list[str]:
     """Return the warnings of a comparison, each text once with the names of its candidates."""
     names_by_text: dict[str, list[str]] = {}
     inputs = comparison.inputs
@@ -52,7 +52,7 @@ def warnings(comparison: SourcedComparison) -> list[str]:
     return [f"{join_words(names)}: {text}" if names else text for text, names in names_by_text.items()]
 
 
-def remarks(comparison: SourcedComparison) -> Iterator[str]:
+def remarks(comparison: FinishedComparison) -> Iterator[str]:
     """Yield how tiles were used, residuals of control points, motions that the answer does not state, and samples."""
     if comparison.tiling is not None:
         yield tiling_sentence(comparison, comparison.tiling)
@@ -72,7 +72,7 @@ def remarks(comparison: SourcedComparison) -> Iterator[str]:
         yield f"{candidate.name}: {_sample_words(comparison, candidate)}."
 
 
-def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
+def tiling_sentence(comparison: FinishedComparison, tiling: Tiling) -> str:
     """Return how a comparison was computed in tiles, in one or two sentences."""
     text = (
         f"Computed in {pluralize(tiling.tiles, 'tile')} of at most {pluralize(tiling.tile_points, 'point')}: distances"
@@ -92,7 +92,7 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
     return text
 
 
-def details(comparison: SourcedComparison) -> Iterator[str]:
+def details(comparison: FinishedComparison) -> Iterator[str]:
     """Yield the verdict on each candidate, and the differences of each pair whose registrations are not doubtful."""
     for candidate in comparison:
         yield deformation_sentence(comparison, candidate, candidate.name)
@@ -106,7 +106,7 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
             yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
-def deformation_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
+def deformation_sentence(comparison: FinishedComparison, candidate: Candidate, name: str) -> str:
     """Return the verdict on deformation as a sentence without a period.
 
     There is no verdict if a candidate looks deformed but the geometry does not determine its pose.
@@ -121,12 +121,12 @@ def is_open(candidate: Candidate) -> bool:
     return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
 
 
-def overlaps_little(comparison: SourcedComparison, candidate: Candidate) -> bool:
+def overlaps_little(comparison: FinishedComparison, candidate: Candidate) -> bool:
     """Return whether a large part of a candidate lies beyond the reference and is measured nevertheless."""
     return comparison.settings.crop == "none" and candidate.registration.overlap < _MIN_OVERLAP
 
 
-def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterator[str]:
+def _of_candidate(comparison: FinishedComparison, candidate: Candidate) -> Iterator[str]:
     yield from map(str, candidate.warnings)
     if text := _censored_words(comparison, candidate):
         yield text
@@ -143,7 +143,7 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
     yield from map(str, candidate.deformation.further_warnings)
 
 
-def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
+def _censored_words(comparison: FinishedComparison, candidate: Candidate) -> str:
     """Return which shares of the distances reach the maximum distance; empty if none does."""
     shares = [(ARROWS[way], share) for way, share in candidate.censored.items() if share > 0]
     if not shares or comparison.tiling is None:
@@ -172,7 +172,7 @@ def _left_out_words(left_out: Sequence[LeftOut]) -> str:
     )
 
 
-def _map_samples(comparison: SourcedComparison) -> Iterator[str]:
+def _map_samples(comparison: FinishedComparison) -> Iterator[str]:
     """Yield how many points are in each map that is a sample; those of the reference are named once."""
     for candidate in comparison:
         if candidate.deviation.sampled_from is not None:
@@ -194,7 +194,7 @@ def _crop_advice(candidate: Candidate) -> str:
     return "--crop reference measures only points inside the reference's bounding box, --crop polygon:FILE any region"
 
 
-def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:
+def _sample_words(comparison: FinishedComparison, candidate: Candidate) -> str:
     """Return from how many points D2 was estimated, with the 95 % confidence intervals."""
     samples = candidate.metrics.d2_samples
     if not samples:

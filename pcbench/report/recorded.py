@@ -1,7 +1,8 @@
 """Record settings in settings.json so that they repeat a comparison bit for bit, even if they were given as objects.
 
-A text is kept, with absolute paths. An object becomes `{"type": NAME}` with its fields and all digits of its numbers. A
-registration method that a text describes completely becomes that text.
+A text is kept. A method or a region from a file becomes its text, with an absolute path, and a registration method that
+a text describes completely becomes that text. Another object becomes `{"type": NAME}` with its fields and all digits of
+its numbers.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.measure.presets import ALWAYS
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
@@ -50,6 +52,7 @@ def restore(values: Mapping[str, Any]) -> Settings:
         InputError, AttributeError, KeyError, TypeError, ValueError: the values are damaged.
     """
     restored = {name: _from_record(value) for name, value in values.items()}
+    restored["presets"] = tuple(name for name in restored.get("presets", ()) if name not in ALWAYS)
     if isinstance(values.get("m3c2"), Mapping):
         restored["m3c2"] = M3C2Settings(**{name: _from_record(value) for name, value in values["m3c2"].items()})
     return Settings(**restored)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import LENGTH, RATIO, Quantity
 from pcbench.measure.results import ARROWS, Candidate
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import (
     TERMINAL_RANKS,
     Headline,
@@ -42,7 +42,7 @@ class Column(NamedTuple):
         return max(map(columns, (*self.head, *self.cells)))
 
 
-def main_lines(comparison: SourcedComparison) -> list[Line]:
+def main_lines(comparison: FinishedComparison) -> list[Line]:
     """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
     candidates, show = list(comparison), _length_formatter(comparison)
     has_details = len(main_thresholds(comparison)) == 1  # of F-scores
@@ -76,14 +76,14 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
     return lines + optional[: _MAX_ROWS - len(lines)]
 
 
-def headline_lines(comparison: SourcedComparison) -> list[tuple[Headline, LineQuantities]]:
+def headline_lines(comparison: FinishedComparison) -> list[tuple[Headline, LineQuantities]]:
     """Return the lines of the quantities in the summary, for the main ones of several thresholds."""
     thresholds = (None, *main_thresholds(comparison))
     lines = arrange(comparison.candidates, lambda q: q.threshold in thresholds and headline_of(q) is not None)
     return [(headline, line) for line in lines if (headline := headline_of(line.first)) is not None]
 
 
-def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
+def main_columns(comparison: FinishedComparison, width: int) -> list[Column]:
     """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
     candidates, show = list(comparison), _length_formatter(comparison, digits=3)
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
@@ -121,7 +121,7 @@ def _names(candidates: list[Candidate], width: int) -> list[str]:
     return names
 
 
-def _quantity_columns(comparison: SourcedComparison, show: LengthFormatter) -> Iterator[tuple[int, Column]]:
+def _quantity_columns(comparison: FinishedComparison, show: LengthFormatter) -> Iterator[tuple[int, Column]]:
     """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
     first_threshold = (None, *main_thresholds(comparison)[:1])
 
@@ -142,7 +142,7 @@ def _quantity_columns(comparison: SourcedComparison, show: LengthFormatter) -> I
             yield rank, Column((headline.column, below), cells)
 
 
-def main_thresholds(comparison: SourcedComparison) -> list[float]:
+def main_thresholds(comparison: FinishedComparison) -> list[float]:
     """Return the thresholds that the user set, or the middle one of the default three."""
     thresholds = [score.threshold for score in comparison.candidates[0].metrics.fscores]
     return thresholds if comparison.settings.thresholds is not None else thresholds[len(thresholds) // 2 :][:1]
@@ -153,7 +153,7 @@ def _deformation_size(candidate: Candidate, show: LengthFormatter) -> str:
     return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
 
 
-def _length_formatter(comparison: SourcedComparison, digits: int = 4) -> LengthFormatter:
+def _length_formatter(comparison: FinishedComparison, digits: int = 4) -> LengthFormatter:
     """Return a function that formats lengths; values within rounding are 0."""
     least = rounding_limit(comparison)
 

@@ -10,7 +10,7 @@ from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.answer import answer
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import Line, LineCell, arrange, label_of
 from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, remarks, warnings
@@ -39,7 +39,7 @@ class Row(NamedTuple):
     ci_high: float | None
 
 
-def rows(comparison: SourcedComparison) -> Iterator[Row]:
+def rows(comparison: FinishedComparison) -> Iterator[Row]:
     """Yield each number of a comparison as a row of metrics.csv."""
     unit = comparison.reference.unit or "unit"
     for candidate in comparison.candidates:
@@ -48,7 +48,7 @@ def rows(comparison: SourcedComparison) -> Iterator[Row]:
             yield Row(*name, q.definition, q.value, q.unit_name(unit), *(q.interval or (None, None)))
 
 
-def lines(comparison: SourcedComparison) -> Iterator[Line | None]:
+def lines(comparison: FinishedComparison) -> Iterator[Line | None]:
     """Yield all lines of the table, with 95 % confidence intervals; None separates groups."""
     candidates = comparison.candidates
     registrations = [c.registration for c in candidates]
@@ -74,7 +74,7 @@ def _cell(quantity: Quantity) -> LineCell:
     return LineCell(number(quantity.value), None if interval is None else (number(interval.low), number(interval.high)))
 
 
-def markdown(comparison: SourcedComparison) -> str:
+def markdown(comparison: FinishedComparison) -> str:
     """Return `table.md`: answer, warnings, all metrics with 95 % intervals, legend, and differences."""
     header = ["", *(f"{candidate.name} {arrow}" for candidate in comparison for arrow in ARROWS.values())]
     text = [
@@ -95,7 +95,7 @@ def markdown(comparison: SourcedComparison) -> str:
     return "\n".join(text).rstrip() + "\n"
 
 
-def html(comparison: SourcedComparison) -> str:
+def html(comparison: FinishedComparison) -> str:
     """Return the table of a notebook: answer, warnings, all metrics, and differences, with escaped names."""
     number_style, label_style = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
@@ -125,5 +125,5 @@ def _list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
-def _legend(comparison: SourcedComparison) -> str:
+def _legend(comparison: FinishedComparison) -> str:
     return _LEGEND.format(unit=comparison.reference.unit or "the files' unit")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pcbench.measure.results import ARROWS
 from pcbench.report.answer import answer
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import Line
 from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.summary import MAX_SIDE_BY_SIDE, main_columns, main_lines
@@ -26,7 +26,7 @@ _DEFAULT_WIDTH = 80  # terminal columns
 _UNBOUNDED_WIDTH = 100_000  # terminal columns for pipes and files
 
 
-def print_comparison(comparison: SourcedComparison, *, full: bool = False, folder: Path | None = None) -> None:
+def print_comparison(comparison: FinishedComparison, *, full: bool = False, folder: Path | None = None) -> None:
     """Print the answer, the warnings, the main metrics, and the location of all others.
 
     Sentences are wrapped between words on a terminal, or if COLUMNS sets a width. In a file or a pipe each is one line,

@@ -8,7 +8,7 @@ from itertools import accumulate
 
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.wording import pluralize, with_unit
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 
 UNKNOWN = "–"
 _ROUNDING_SHARE = 1e-9  # of the scene's extent
@@ -112,12 +112,12 @@ def _prefix(text: str, width: int) -> str:
     return text[: sum(end <= width for end in ends)]
 
 
-def rounding_limit(comparison: SourcedComparison) -> float:
+def rounding_limit(comparison: FinishedComparison) -> float:
     """Return the largest distance that counts as rounding, in the clouds' unit."""
     return _ROUNDING_SHARE * comparison.reference.extent
 
 
-def title(comparison: SourcedComparison) -> str:
+def title(comparison: FinishedComparison) -> str:
     """Return one line about the reference: its path, number of points and spacing."""
     reference = comparison.reference
     spacing = with_unit(f"{reference.spacing_median:.3g}", reference.unit)

@@ -478,7 +478,7 @@ def test_regions_may_be_objects_or_texts(pair):
 
 def test_names_are_taken_from_any_iterable():
     settings = Settings(presets=(name for name in ("pdal",)), maps=(name for name in ("m3c2",)))
-    assert settings.presets == ("gao2025", "mpeg", "pdal")
+    assert (settings.presets, settings.measured_presets) == (("pdal",), ("gao2025", "mpeg", "pdal"))
     assert settings.maps == ("m3c2",)
     for value in ("pdal", None, 7):
         with check_error():

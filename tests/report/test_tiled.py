@@ -246,33 +246,33 @@ def test_the_estimate_of_memory_is_near_measured_peaks(counts, peak_mb):
 def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):
     write_cloud(tmp_path / "a.ply", Cloud(shapes.city(100, seed=1)[0]))
     (tmp_path / "matrix.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
-    settings, tiling = Settings(register=f"matrix:{tmp_path / 'matrix.txt'}"), TilingSettings()
+    settings, tiling = Settings(register=f"matrix:{tmp_path / 'matrix.txt'}"), TilingSettings(workers=1)
 
     def key(settings=settings, tiling=tiling):
         path = tmp_path / "a.ply"
         request = Request.of(path, path, settings)
         return CloudsOnDisk.open(request, tiling).key(request.settings, tiling)
 
-    found = {
-        key(),
+    keys = [
         key(),
         key(settings=Settings()),
-        *(
-            key(tiling=TilingSettings(**changed))
-            for changed in ({"workers": 2}, {"tile_points": 500}, {"memory": 1 << 30})
-        ),
-    }
-    for name in ("matrix.txt", "a.ply"):  # another content, with the same size and time
+        key(tiling=TilingSettings(workers=1, tile_points=500)),
+        key(tiling=TilingSettings(workers=1, memory=200_000_000)),
+    ]
+    for name, change in (("matrix.txt", (b"1 0 0 0", b"1 0 0 5")), ("a.ply", None)):  # with the same size and time
         before = (tmp_path / name).stat()
         data = bytearray((tmp_path / name).read_bytes())
-        data[len(data) // 2] ^= 1
+        if change is None:
+            data[-1] ^= 1
+        else:
+            data = data.replace(*change)
         (tmp_path / name).write_bytes(data)
         os.utime(tmp_path / name, ns=(before.st_atime_ns, before.st_mtime_ns))
-        found.add(key())
-    assert len(found) == 7
+        keys.append(key())
+    assert len(set(keys)) == len(keys)
     os.utime(tmp_path / "a.ply", ns=(1, 1))  # another time, with the same content
-    assert key() in found
-    assert key(tiling=TilingSettings(cluster="tcp://host:8786")) == key()
+    for same in (TilingSettings(workers=2), TilingSettings(workers=1, cluster="tcp://host:8786")):  # the same tiles
+        assert key(tiling=same) == keys[-1]
 
 
 def test_attributes_need_memory_too():

@@ -209,13 +209,13 @@ def split_into_budget(
         registration: registration of the candidate.
     """
     white = None if deformation.noise is None else deformation.noise.sigma_white
-    found = []
-    for direction, known in zip(directions, every_floor, strict=True):
+    budgets = []
+    for direction, floors_of_direction in zip(directions, every_floor, strict=True):
         sums = direction.sums.budget_sums
         if sums is None or pair.frame is None or not direction.sums.totals.has_planes:
             return None
-        found.append(budget(sums, pair.frame, floor=known[PLANE_METRIC], white=white))
-    return DirectedBudget(found[0], found[1], registration.keeps_pose)
+        budgets.append(budget(sums, pair.frame, floor=floors_of_direction[PLANE_METRIC], white=white))
+    return DirectedBudget(budgets[0], budgets[1], registration.keeps_pose)
 
 
 def assess_deformation(

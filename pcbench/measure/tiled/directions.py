@@ -198,9 +198,9 @@ def measure_candidate_tile(file: Path, key: str, number: int, region: Region | N
     planes = plane_distances(points, closest, normals)
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
-    found = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
     budget = _budget_sums(pair, planes, closest, normals, pair.labels[0], points)
-    return _store(pair, pair.forth, number, inside, found, budget)
+    return _store(pair, pair.forth, number, inside, distances, budget)
 
 
 def measure_reference_tile(file: Path, key: str, number: int, region: Region | None) -> DistanceSums:
@@ -216,9 +216,9 @@ def measure_reference_tile(file: Path, key: str, number: int, region: Region | N
     normals = normals if inside is None else normals[inside]
     planes = plane_distances(points, closest, normals)
     cells = pair.grid.cells_of(points)
-    found = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
     budget = _budget_sums(pair, planes, points, normals, pair.labels[1], points)
-    return _store(pair, pair.back, number, inside, found, budget)
+    return _store(pair, pair.back, number, inside, distances, budget)
 
 
 class _TileBudget(NamedTuple):
@@ -239,10 +239,10 @@ def _budget_sums(
     """Return the sums of the budget over queries (n, 3), with distances (n,) from planes at places (n, 3)."""
     if pair.frame is None or np.isnan(planes).any():
         return _TileBudget(None, np.zeros(len(points), np.int64))
-    found = labels.of_points(points)
-    sums = sum_queries(planes, places, normals, None, found, labels.changes, pair.frame, whole_normal_equations)
+    changes = labels.of_points(points)
+    sums = sum_queries(planes, places, normals, None, changes, labels.changes, pair.frame, whole_normal_equations)
     moments, scores = (values.astype(np.int64) for values in (sums.moments, sums.scores))  # a tile's fit into 63 bits
-    return _TileBudget(replace(sums, moments=moments, scores=scores), found.astype(np.int64) + FIRST)
+    return _TileBudget(replace(sums, moments=moments, scores=scores), changes.astype(np.int64) + FIRST)
 
 
 class _Distances(NamedTuple):
@@ -265,24 +265,24 @@ def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[Flo
 
 
 def _store(
-    pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances, budget: _TileBudget
+    pair: TiledPair, folder: Path, number: int, inside: IntArray | None, distances: _Distances, budget: _TileBudget
 ) -> DistanceSums:
     """Store the distances of a tile and add them up."""
-    save_column(folder, number, DISTANCE, found.to_points)
-    save_column(folder, number, PLANE_DISTANCE, found.to_planes)
+    save_column(folder, number, DISTANCE, distances.to_points)
+    save_column(folder, number, PLANE_DISTANCE, distances.to_planes)
     if inside is not None:
         save_column(folder, number, MEASURED, inside)
-    is_censored = np.isnan(found.to_planes) if pair.max_distance < np.inf else np.zeros(len(found.rows), bool)
-    found = found._replace(to_planes=np.where(is_censored, 0.0, found.to_planes))
+    is_censored = np.isnan(distances.to_planes) if pair.max_distance < np.inf else np.zeros(len(distances.rows), bool)
+    distances = distances._replace(to_planes=np.where(is_censored, 0.0, distances.to_planes))
     totals = DirectionTotals.of(
-        *found,
+        *distances,
         thresholds=pair.thresholds,
         voxel=pair.voxel,
         corner=pair.corner,
         is_censored=is_censored,
     )
-    is_near = (found.to_points <= pair.overlap_distance) & ~is_censored
-    near = GroupSums.of(None, {"square": np.square(found.to_planes[is_near])})
-    pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
-    squares = GroupSums.of(budget.labels, {"square": np.square(found.to_planes)})
+    is_near = (distances.to_points <= pair.overlap_distance) & ~is_censored
+    near = GroupSums.of(None, {"square": np.square(distances.to_planes[is_near])})
+    pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, distances.points, distances.to_points)
+    squares = GroupSums.of(budget.labels, {"square": np.square(distances.to_planes)})
     return DistanceSums(totals, near, pixels, squares, budget.sums)

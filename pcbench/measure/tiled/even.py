@@ -47,13 +47,13 @@ class PlacedRuns:
 
     def load(self) -> PickedPoints:
         """Return all points inside the region, in the order of their rows."""
-        found = self.runs.read([(0, 1 << CODE_BITS)])
-        points = found.points - self.origin
+        stored = self.runs.read([(0, 1 << CODE_BITS)])
+        points = stored.points - self.origin
         if self.pose is not None:
             points = self.pose.apply(points)
         if self.displacement is not None:
             points = points - self.displacement(points)
-        loaded = PickedPoints(points, found.rows, found.classes)
+        loaded = PickedPoints(points, stored.rows, stored.classes)
         return loaded if self.region is None else loaded.select(np.flatnonzero(self.region.contains(points)))
 
 
@@ -96,9 +96,9 @@ class Picker:
         if placed.region is None:
             return cls(placed, tuple(run.count for run in placed.runs.runs), None, runner, stage, key)
         tasks, title = [_task(part) for part in placed.parts], "counting points inside the region"
-        found = [each for _, each in runner.run(f"{stage}-count", count_inside, tasks, key=key, title=title)]
-        lowest = np.min([each.lowest for each in found], axis=0)
-        return cls(placed, tuple(each.number for each in found), lowest, runner, stage, key)
+        counted = [each for _, each in runner.run(f"{stage}-count", count_inside, tasks, key=key, title=title)]
+        lowest = np.min([each.lowest for each in counted], axis=0)
+        return cls(placed, tuple(each.number for each in counted), lowest, runner, stage, key)
 
     @property
     def count(self) -> int:
@@ -119,7 +119,7 @@ class Picker:
                 tasks.append(_task(part, numbers[low:high] - first))
         stage, key = f"{self.stage}-{fingerprint(numbers)[:12]}", self.key
         results = self.runner.run(stage, picked_points, tasks, key=key, title="picking points")
-        parts = [found for _, found in results]
+        parts = [picked for _, picked in results]
         has_classes = all(part.classes is not None for part in parts)
         return PickedPoints(
             np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]),

@@ -293,30 +293,30 @@ class TiledIndex(Index):
         stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}"
         results = self._runner.run(stage, near_points, tasks, key=key, title="searching the surroundings of a sample")
         reach = []
-        for _, found in results:
-            self._add(found)
-            reach.append(found.reach)
+        for _, near in results:
+            self._add(near)
+            reach.append(near.reach)
         self._centers = np.concatenate([self._centers, places[order]])
         self._reach = np.concatenate([self._reach, *reach])
         self._center_index = Index(self._centers)
 
-    def _add(self, found: NearPoints) -> None:
+    def _add(self, near: NearPoints) -> None:
         """Append the points that are not in memory, and keep the normals of those that are."""
         sorted_rows = self.rows[self._order]
-        positions = np.minimum(np.searchsorted(sorted_rows, found.rows), max(len(sorted_rows) - 1, 0))
-        is_loaded = sorted_rows[positions] == found.rows if len(sorted_rows) else np.zeros(len(found.rows), bool)
-        if self.normals is not None and found.normals is not None:
-            self.normals[self._order[positions[is_loaded]]] = found.normals[is_loaded]
+        positions = np.minimum(np.searchsorted(sorted_rows, near.rows), max(len(sorted_rows) - 1, 0))
+        is_loaded = sorted_rows[positions] == near.rows if len(sorted_rows) else np.zeros(len(near.rows), bool)
+        if self.normals is not None and near.normals is not None:
+            self.normals[self._order[positions[is_loaded]]] = near.normals[is_loaded]
         new = np.flatnonzero(~is_loaded)
         if not len(new):
             return
-        self.points = np.concatenate([self.points, found.points[new]])
-        self.rows = np.concatenate([self.rows, found.rows[new]])
+        self.points = np.concatenate([self.points, near.points[new]])
+        self.rows = np.concatenate([self.rows, near.rows[new]])
         if self.normals is not None:
-            normals = np.full((len(new), 3), np.nan) if found.normals is None else found.normals[new]
+            normals = np.full((len(new), 3), np.nan) if near.normals is None else near.normals[new]
             self.normals = np.concatenate([self.normals, normals])
-        if self.classes is not None and found.classes is not None:
-            self.classes = np.concatenate([self.classes, found.classes[new]])
+        if self.classes is not None and near.classes is not None:
+            self.classes = np.concatenate([self.classes, near.classes[new]])
         self._order = np.argsort(self.rows, kind="stable")
         self.__dict__.pop("_tree_index", None)
 

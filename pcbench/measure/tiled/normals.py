@@ -124,11 +124,11 @@ def _profile(cloud: TiledCloud, number: int, points: FloatArray, around: _Surrou
 
 def _searched_planes(cloud: TiledCloud, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
     """Return the same for points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
-    found = nearest_in_tiles(points, cloud, k)
+    matches = nearest_in_tiles(points, cloud, k)
     # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
-    every, first = np.unique(np.concatenate([rows, found.rows.ravel()]), return_index=True)
-    near = np.concatenate([points, found.column(cloud, "points").reshape(-1, 3)])[first]
-    return found.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
+    every, first = np.unique(np.concatenate([rows, matches.rows.ravel()]), return_index=True)
+    near = np.concatenate([points, matches.column(cloud, "points").reshape(-1, 3)])[first]
+    return matches.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
 
 
 def _halo_width(cloud: TiledCloud, number: int, k: int) -> float:

@@ -134,8 +134,8 @@ def _add_normals(steps: Steps, tiles: TiledCloud) -> tuple[float, TiledCloud]:
     file, k = steps.folder / "reference.tiles", min(steps.settings.normal_neighbors, count)
     write_result(file, steps.key, tiles)
     tasks = tile_tasks(tiles, lambda number: (file, steps.key, number, k))
-    found = steps.results("normals", add_normals, tasks, "computing normals of the reference")
-    histogram = BitHistogram.merge(found)
+    histograms = steps.results("normals", add_normals, tasks, "computing normals of the reference")
+    histogram = BitHistogram.merge(histograms)
     files = [tiles.file(number, "spacings") for number in tiles.occupied]
     nearest = median(files, histogram, map_files=steps.file_map("spacing")) if histogram.count else 0.0
     profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])

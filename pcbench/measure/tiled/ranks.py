@@ -97,8 +97,8 @@ class BitHistogram:
         if not self.count:
             return float("nan")
         wanted = np.array([round((self.count - 1) * rank / 100)])
-        at = np.searchsorted(np.cumsum(self.counts), wanted, side="right")
-        return float(_as_doubles(self.bins[at] << (64 - self.bits))[0])
+        bins = np.searchsorted(np.cumsum(self.counts), wanted, side="right")
+        return float(_as_doubles(self.bins[bins] << (64 - self.bits))[0])
 
 
 class Wanted(NamedTuple):
@@ -153,14 +153,14 @@ def select(
     """
     while True:
         ends = np.cumsum(histogram.counts)
-        at = np.searchsorted(ends, ranks, side="right")
+        parts = np.searchsorted(ends, ranks, side="right")
         if histogram.bits == 64:
-            return _as_doubles(histogram.bins[at])
+            return _as_doubles(histogram.bins[parts])
         # Only the wanted bins are counted again, so ranks are counted from the values of these bins.
-        wanted, which = np.unique(at, return_inverse=True)
+        wanted, which = np.unique(parts, return_inverse=True)
         counts = histogram.counts[wanted]
         before = np.cumsum(counts) - counts
-        ranks = ranks - (ends - histogram.counts)[at] + before[which]
+        ranks = ranks - (ends - histogram.counts)[parts] + before[which]
         resolves_all = counts.sum() <= _MAX_RESOLVED
         bits = 64 if resolves_all else min(histogram.bits + _STEP_BITS, 64)
         request = Wanted(center, histogram.bins[wanted], histogram.bits, bits)

@@ -66,19 +66,19 @@ def store_piece(
         PcbenchError: the file has changed since.
     """
     try:
-        found = read_piece(cloud, piece)
+        read = read_piece(cloud, piece)
     finally:
         state.check()  # before damage is blamed on the file
-    points, count = found.points, len(found.points)
+    points, count = read.points, len(read.points)
     if not count:
-        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 0, 1, points, found.notes)
+        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 0, 1, points, read.notes)
     codes = lattice.codes(points)
     order = np.argsort(codes, kind="stable")
     columns: dict[str, NDArray[Any] | None] = {
         "points": points.take(order, axis=0),
         "order": order.astype(np.uint32),
-        "normals": None if found.normals is None else found.normals.take(order, axis=0),
-        "classes": None if found.classification is None else found.classification[order],
+        "normals": None if read.normals is None else read.normals.take(order, axis=0),
+        "classes": None if read.classification is None else read.classification[order],
     }
     for name, values in columns.items():
         if values is not None:
@@ -86,9 +86,7 @@ def store_piece(
     stride = max(1, count // _INDEX_ENTRIES)
     even = points[-first_row % step :: step]
     last_code = int(codes[order[-1]])
-    return RunSummary(
-        piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, found.notes
-    )
+    return RunSummary(piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, read.notes)
 
 
 @dataclass(frozen=True)
@@ -137,10 +135,14 @@ class CloudRuns:
     def of(cls, folder: Path, lattice: Lattice, summaries: Sequence[RunSummary]) -> CloudRuns:
         """Return the runs of all pieces, in their order."""
         runs, first_row = [], 0
-        for found in summaries:
-            if found.count:
-                runs.append(StoredRun(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
-            first_row += found.count
+        for summary in summaries:
+            if summary.count:
+                runs.append(
+                    StoredRun(
+                        summary.number, summary.count, first_row, summary.codes, summary.last_code, summary.stride
+                    )
+                )
+            first_row += summary.count
         return cls(folder, lattice, tuple(runs))
 
     @property
@@ -151,8 +153,8 @@ class CloudRuns:
     def overlapping(self, code_range: tuple[int, int]) -> CloudRuns:
         """Return the runs that may have points in a half-open range of codes."""
         first, last = self._code_ends
-        found = np.flatnonzero((first < np.uint64(code_range[1])) & (last >= np.uint64(code_range[0])))
-        return replace(self, runs=tuple(self.runs[number] for number in found))
+        numbers = np.flatnonzero((first < np.uint64(code_range[1])) & (last >= np.uint64(code_range[0])))
+        return replace(self, runs=tuple(self.runs[number] for number in numbers))
 
     @cached_property
     def _code_ends(self) -> tuple[Codes, Codes]:
@@ -198,11 +200,11 @@ class CloudRuns:
         """Return the number of points of a run with smaller codes."""
         if code >= 1 << CODE_BITS:
             return run.count
-        at = int(np.searchsorted(run.codes, np.uint64(code)))
-        if at == 0 or run.stride == 1:
-            return at
-        start = (at - 1) * run.stride
-        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : at * run.stride]
+        position = int(np.searchsorted(run.codes, np.uint64(code)))
+        if position == 0 or run.stride == 1:
+            return position
+        start = (position - 1) * run.stride
+        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : position * run.stride]
         return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
 
 
@@ -231,7 +233,7 @@ def leaf_ranges(runs: CloudRuns, most: int) -> Codes:
     weights = np.concatenate([np.full(len(run.codes), run.count / len(run.codes)) for run in runs.runs])
     order = np.argsort(codes, kind="stable")
     codes, total = codes[order], np.concatenate([[0.0], np.cumsum(weights[order])])
-    found = list[Codes]()
+    ranges = list[Codes]()
     low = np.zeros(1, np.uint64)
     for bits in range(CODE_BITS, -1, -1):  # ranges of 2^bits codes
         high = low + np.uint64(1 << bits)
@@ -239,9 +241,9 @@ def leaf_ranges(runs: CloudRuns, most: int) -> Codes:
         last = np.searchsorted(codes, high - np.uint64(1), side="right")
         is_split = (total[last] - total[first] > most) & (bits > 0)
         is_leaf = ~is_split & (last > first)
-        found.append(np.column_stack([low, high])[is_leaf])
+        ranges.append(np.column_stack([low, high])[is_leaf])
         low = (low[is_split, None] + np.array([0, (1 << bits) // 2], np.uint64)).ravel()
-    every = np.concatenate(found)
+    every = np.concatenate(ranges)
     return every[np.argsort(every[:, 0])]
 
 

@@ -40,13 +40,13 @@ class TileMatches(NamedTuple):
     def column(self, cloud: TiledCloud, name: str) -> NDArray[Any]:
         """Return a column of the cloud's tiles at the nearest points, (M, k, ...); NaN where there is no point."""
         shape = cloud.open(cloud.occupied[0], name).shape[1:]
-        found = np.full((*self.tiles.shape, *shape), np.nan)
-        flat, tiles, places = found.reshape(-1, *shape), self.tiles.ravel(), self.places.ravel()
+        column = np.full((*self.tiles.shape, *shape), np.nan)
+        flat, tiles, places = column.reshape(-1, *shape), self.tiles.ravel(), self.places.ravel()
         for tile in np.unique(tiles):
             if tile >= 0:
-                at = np.flatnonzero(tiles == tile)
-                flat[at] = cloud.open(int(tile), name).take(places[at], axis=0)
-        return found
+                rows = np.flatnonzero(tiles == tile)
+                flat[rows] = cloud.open(int(tile), name).take(places[rows], axis=0)
+        return column
 
 
 def nearest_in_tiles(queries: FloatArray, cloud: TiledCloud, k: int = 1, max_distance: float = np.inf) -> TileMatches:
@@ -101,7 +101,7 @@ class _Search:
         near_all = self._near_box()
         upper = np.square(self.reach)
         nothing = np.zeros(0, np.int64)
-        found = [_NearTiles(nothing, nothing, np.zeros(0))]  # all tiles may lie beyond the maximum distance
+        near = [_NearTiles(nothing, nothing, np.zeros(0))]  # all tiles may lie beyond the maximum distance
         for start in range(0, len(near_all), _TILES_AT_ONCE):
             some = near_all[start : start + _TILES_AT_ONCE]
             gaps, largest = _squared_ranges(self.low, self.high, self.cloud.low[some], self.cloud.high[some])
@@ -110,11 +110,11 @@ class _Search:
                 upper = np.minimum(upper, largest[:, enough].min(axis=1))
             is_near = gaps <= upper[:, None] * (1 + 1e-12)
             blocks, columns = np.nonzero(is_near)
-            found.append(_NearTiles(blocks, some[columns], gaps[is_near]))
+            near.append(_NearTiles(blocks, some[columns], gaps[is_near]))
         every = _NearTiles(
-            np.concatenate([part.blocks for part in found]),
-            np.concatenate([part.tiles for part in found]),
-            np.concatenate([part.squared_gaps for part in found]),
+            np.concatenate([part.blocks for part in near]),
+            np.concatenate([part.tiles for part in near]),
+            np.concatenate([part.squared_gaps for part in near]),
         )
         kept = np.flatnonzero(every.squared_gaps <= upper[every.blocks] * (1 + 1e-12))
         order = kept[np.lexsort((every.blocks[kept], every.tiles[kept]))]
@@ -136,8 +136,8 @@ class _Search:
         to_center = _squared_gaps(center, self.cloud.low[tiles], self.cloud.high[tiles])
         order = np.lexsort((tiles, to_center, squared_gaps, blocks))
         first = np.full(len(self.starts), -1)
-        found, at = np.unique(blocks[order], return_index=True)
-        first[found] = tiles[order[at]]
+        used_blocks, starts = np.unique(blocks[order], return_index=True)
+        first[used_blocks] = tiles[order[starts]]
         return first
 
     def tiles_by_distance(self) -> list[int]:
@@ -175,7 +175,7 @@ class _Search:
         k = min(self.k, len(points))
         matches = Index(points).query(queries, k)
         indices = matches.indices.reshape(len(which), k)
-        found = TileMatches(
+        nearer = TileMatches(
             matches.distances.reshape(len(which), k),
             rows.take(indices),
             np.full(indices.shape, tile, np.int32),
@@ -183,13 +183,13 @@ class _Search:
         )
         best = self.best
         before = TileMatches(best.distances[which], best.rows[which], best.tiles[which], best.places[which])
-        better = found
+        better = nearer
         if k < self.k or (before.tiles >= 0).any() or np.isfinite(worst).any():
             before_squared = _squared_distances(before.column(self.cloud, "points"), queries)
             found_squared = _squared_distances(points.take(indices, axis=0), queries)
             # Squares decide, as in memory: square roots of different squares may be equal.
             limit = np.where(before.rows == _NO_ROW, np.square(before.distances), before_squared)
-            better = _merge(before, limit, found, found_squared, self.k)
+            better = _merge(before, limit, nearer, found_squared, self.k)
         best.distances[which], best.rows[which] = better.distances, better.rows
         best.tiles[which], best.places[which] = better.tiles, better.places
 
@@ -251,13 +251,13 @@ def _near_points(points: FloatArray, queries: FloatArray, reach: FloatArray) -> 
 
 def positions_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
     """Return the ascending positions of the points (N, 3) in a box with corners `low` (3,) and `high` (3,)."""
-    found: IntArray | None = None
+    positions: IntArray | None = None
     for axis in range(3):
-        values = points[:, axis] if found is None else points[found, axis]
+        values = points[:, axis] if positions is None else points[positions, axis]
         inside = np.flatnonzero((values >= low[axis]) & (values <= high[axis]))
-        found = inside if found is None else found[inside]
-    assert found is not None
-    return found
+        positions = inside if positions is None else positions[inside]
+    assert positions is not None
+    return positions
 
 
 def _merge(

@@ -97,8 +97,8 @@ def spread_of(files: Sequence[Path], distribution: Distribution, *, map_files: F
     neighbors, share = order_statistics.neighboring_ranks(count, PERCENTILE_RANKS)
     # The two order statistics of the median are among those of the 50th percentile.
     wanted = np.concatenate([*neighbors, [(count - 1) // 2, count // 2]])
-    *found, low, high = select(files, distribution.histogram, wanted, map_files=map_files)
-    below, above = np.array(found).reshape(2, -1)
+    *order_values, low, high = select(files, distribution.histogram, wanted, map_files=map_files)
+    below, above = np.array(order_values).reshape(2, -1)
     values = order_statistics.interpolate(below, above, share)
     ranks = {f"p{rank:g}": float(value) for rank, value in zip(PERCENTILE_RANKS, values, strict=True)}
     nmad = order_statistics.NORMAL_MAD * median_distance(files, 0.5 * (float(low) + float(high)), map_files=map_files)

@@ -81,7 +81,7 @@ class Steps:
     def results(self, stage: str, function: Callable[..., T], tasks: Sequence[Task], title: str) -> Iterator[T]:
         """Run tasks, and return an iterator that loads their results one at a time."""
         results = self.runner.run(stage, function, tasks, key=self.key, title=title)
-        return (found for _, found in results)
+        return (result for _, result in results)
 
     def file_map(self, stage: str) -> FileMap:
         """Return a function that distributes calls for many files as tasks, and repeats none of them."""
@@ -93,7 +93,7 @@ class Steps:
             tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
             key = f"{self.key}{fingerprint(getattr(function, 'keywords', {}))}"  # of a `partial`
             results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
-            return (found for _, found in results)
+            return (result for _, result in results)
 
         return map_files
 

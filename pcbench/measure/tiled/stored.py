@@ -67,7 +67,7 @@ def rough_boxes(
     clouds: Mapping[str, CloudOnDisk], runner: TaskRunner, key: str
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return the corners (3,) of the box of each cloud by name, from its headers or from some of its pieces."""
-    found = {}
+    corners = {}
     for name, cloud in clouds.items():
         if all(file.low is not None and file.high is not None for file in cloud.files):
             boxes = [(np.array(file.low), np.array(file.high)) for file in cloud.files if file.count]
@@ -80,8 +80,8 @@ def rough_boxes(
         if not boxes:
             raise _no_points_error(cloud)
         low = reduce(np.minimum, [low for low, _ in boxes])
-        found[name] = low, reduce(np.maximum, [high for _, high in boxes])
-    return found
+        corners[name] = low, reduce(np.maximum, [high for _, high in boxes])
+    return corners
 
 
 def _no_points_error(cloud: CloudOnDisk) -> InputError:
@@ -159,12 +159,12 @@ def store_cloud(
 
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
     results = runner.run(f"{name}-read", store_piece, tasks, key=key, title=title, skip=skip)
-    found = [summary for _, summary in results]
-    boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
+    summaries = [summary for _, summary in results]
+    boxes = [(run.low, run.high) for run in summaries if run.low is not None and run.high is not None]
     if not boxes:
         raise _no_points_error(cloud)
-    runs = CloudRuns.of(folder, lattice, found)
-    even = np.concatenate([summary.even for summary in found])
+    runs = CloudRuns.of(folder, lattice, summaries)
+    even = np.concatenate([summary.even for summary in summaries])
     if step > 1 and runs.count != cloud.count:  # filters and points that are not finite shift the rows
         even = even_points(Picker.of(PlacedRuns(runs, np.zeros(3)), runner, name, key))
     notes = [(pieces[task.name], summary.notes) for task, summary in results]

@@ -38,8 +38,8 @@ class Groups(NamedTuple):
         lowest = int(keys.min())
         extent = int(keys.max()) - lowest + 1
         if extent > _MAX_SPARSITY * len(keys):
-            found, of_value = np.unique(keys, return_inverse=True)
-            return cls(found, of_value.astype(np.int64, copy=False))
+            unique_keys, of_value = np.unique(keys, return_inverse=True)
+            return cls(unique_keys, of_value.astype(np.int64, copy=False))
         offsets = keys - lowest
         occurs = np.zeros(extent, bool)
         occurs[offsets] = True
@@ -106,9 +106,9 @@ class GroupSums:
 
     def sums(self, name: str) -> FloatArray:
         """Return the sum (K,) of each group, rounded once: the nearest double."""
-        found = np.empty(len(self.keys))
-        _core.round_exactly(self.limbs[name], found)
-        return found
+        totals = np.empty(len(self.keys))
+        _core.round_exactly(self.limbs[name], totals)
+        return totals
 
     def means(self, name: str) -> FloatArray:
         """Return the mean (K,) of each group: its rounded sum divided by its count."""

@@ -142,19 +142,19 @@ def make_tile(
         region: measured region in local coordinates; None: everything.
         folder: folder for the files, which exists.
     """
-    found = runs.read([code_range])
-    if not len(found.points):
+    stored = runs.read([code_range])
+    if not len(stored.points):
         return TileSummary.empty(number)
-    points = found.points - origin
+    points = stored.points - origin
     if pose is not None:
         points = pose.apply(points)
-    columns: dict[str, NDArray[Any]] = {"points": points, "rows": found.rows}
-    if found.normals is not None and pose is None:
-        directions, is_valid = unit(found.normals)
+    columns: dict[str, NDArray[Any]] = {"points": points, "rows": stored.rows}
+    if stored.normals is not None and pose is None:
+        directions, is_valid = unit(stored.normals)
         directions[~is_valid] = np.nan
         columns[GIVEN_NORMALS] = directions
-    if found.classes is not None:
-        columns[CLASSES] = found.classes
+    if stored.classes is not None:
+        columns[CLASSES] = stored.classes
     for name, values in columns.items():
         save_column(folder, number, name, values)
     return TileSummary.of(number, points, points if region is None else points[region.contains(points)])

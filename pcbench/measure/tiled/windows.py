@@ -27,11 +27,6 @@ from pcbench.tasks import Task, TaskRunner
 MAX_SAMPLE = 400_000
 """Largest number of points of a sample; clouds that all have fewer are used as they are."""
 _WINDOW_POINTS = 2_000  # 14 m wide for a scan with 10 points per square metre
-MIN_CANDIDATE_POINTS = 25
-"""Smallest mean number of a candidate's points in windows, for which their distances show its density.
-
-It is also the smallest number of points in the inner parts of all windows, for which there is a sampling floor c→r.
-"""
 _CANDIDATE_POINTS = 100  # in a window; in smaller ones, the neighbours of many points lie outside
 _MIN_WINDOWS = 16  # for which windows of a sparse candidate are not enlarged further
 _MARGIN = 0.25  # share of a window's side, at its border, where no point is measured: its neighbours may lie outside

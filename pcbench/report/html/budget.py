@@ -8,7 +8,7 @@ from pcbench.measure.budget import PARTS, D2Budget
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
 from pcbench.report.budget import changes_of, kind_words
 from pcbench.report.colors import BLUE, GREEN, PURPLE, SKY, VERMILION
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.words import UNKNOWN, area, length, percentage, printable, rounding_limit
 
 _LABELS = {  # of the parts in the legend, with their colours: greys for what has no shape
@@ -68,7 +68,7 @@ class ChangeRow(NamedTuple):
     peak: str
 
 
-def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[BudgetBar]:
+def bars(comparison: FinishedComparison, *, is_wide: bool) -> list[BudgetBar]:
     """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r.
 
     Directions whose distances are within rounding have none.
@@ -90,7 +90,7 @@ def legend() -> list[LegendPart]:
     return [LegendPart(*_LABELS[name]) for name in PARTS]
 
 
-def change_rows(comparison: SourcedComparison) -> list[ChangeRow]:
+def change_rows(comparison: FinishedComparison) -> list[ChangeRow]:
     """Return the most important changes of all candidates."""
     unit, rows = comparison.reference.unit, []
     for candidate in comparison:

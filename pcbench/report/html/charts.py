@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import SERIES
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.plot.rounding import log_ticks
 
 WIDTH, HEIGHT = 520, 260  # of a chart, in SVG units
@@ -54,7 +54,7 @@ class LogChart:
     width, height = WIDTH, HEIGHT
 
 
-def charts(comparison: SourcedComparison) -> list[LogChart]:
+def charts(comparison: FinishedComparison) -> list[LogChart]:
     """Return the charts of a comparison; none if all distances are zero."""
     shown = comparison.candidates[:_MAX_SERIES]
     forth = [c.deviation.even_values("distance") for c in shown]

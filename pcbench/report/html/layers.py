@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray, even_rows
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, rounded, scalar_codes
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.plot.views import COORDINATES, SceneAxes
 
 MAX_POINTS = 500_000  # of a cloud
@@ -62,7 +62,7 @@ class Layer:
     rows: IntArray
 
 
-def layers(comparison: SourcedComparison, end: float | None = None, axes: SceneAxes = COORDINATES) -> list[Layer]:
+def layers(comparison: FinishedComparison, end: float | None = None, axes: SceneAxes = COORDINATES) -> list[Layer]:
     """Return the layers of a comparison, candidates first.
 
     Args:
@@ -75,7 +75,7 @@ def layers(comparison: SourcedComparison, end: float | None = None, axes: SceneA
     return [_layer(source, limit, axes.rows) for source, limit in zip(sources, limits, strict=True)]
 
 
-def _sources(comparison: SourcedComparison, end: float | None) -> Iterator[_Source]:
+def _sources(comparison: FinishedComparison, end: float | None) -> Iterator[_Source]:
     spacing = comparison.reference.spacing_median
     maps = {c.name: c.deviation for c in comparison}
     scales = {}

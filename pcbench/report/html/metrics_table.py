@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from pcbench.measure.quantity import Quantity
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import PAGE_RANKS, Headline, Line, LineCell, LineQuantities
 from pcbench.report.ranking import leaders
 from pcbench.report.summary import headline_lines
@@ -34,7 +34,7 @@ class MetricColumn:
         return any(second.text for _, second in self.line.cells)
 
 
-def main_rows(comparison: SourcedComparison) -> list[Line]:
+def main_rows(comparison: FinishedComparison) -> list[Line]:
     """Return the metrics of the summary, one row per metric with both directions of each candidate."""
 
     def facts(label: str, texts: Iterable[str], second: str = "") -> Line:
@@ -88,7 +88,7 @@ def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
 class _Best:
     """Finds the best candidates of a row, and those that do not differ significantly from them."""
 
-    def __init__(self, comparison: SourcedComparison) -> None:
+    def __init__(self, comparison: FinishedComparison) -> None:
         self.names = [c.name for c in comparison]
         self.eligible = {k for k, c in enumerate(comparison) if not c.registration.doubtful}
         self.tied = {

@@ -22,7 +22,7 @@ from pcbench.report.html.packing import rounded
 from pcbench.report.html.places import Place, worst_places
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.html.tiles import TileMaps, tile_maps
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.notes import deformation_sentence, details, remarks, warnings
 from pcbench.report.plot.views import SceneAxes, scene_axes
 from pcbench.report.scalars import scalar_of
@@ -35,7 +35,7 @@ _MAX_ARROWS = 2000  # of a candidate's displacement field
 _MAX_CAMERAS = 500
 
 
-def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_range: float | None = None) -> str:
+def page(comparison: FinishedComparison, provenance: Mapping[str, Any], color_range: float | None = None) -> str:
     """Return `report.html` of a comparison.
 
     Args:
@@ -87,14 +87,14 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
     )
 
 
-def _heading(comparison: SourcedComparison) -> str:
+def _heading(comparison: FinishedComparison) -> str:
     names = [printable(c.name) for c in comparison]
     inputs = comparison.inputs
     reference = "the reference" if inputs is None else printable(Path(inputs.reference.path).name)
     return f"{join_words(names, 4)} against {reference}"
 
 
-def _motions(comparison: SourcedComparison) -> str:
+def _motions(comparison: FinishedComparison) -> str:
     """Return under which poses the motions remain."""
     keeps_pose = [c.registration.keeps_pose for c in comparison]
     if all(keeps_pose):
@@ -131,7 +131,7 @@ def _scalar_labels(clouds: list[Layer]) -> list[tuple[str, str]]:
 
 
 def _view(
-    comparison: SourcedComparison, axes: SceneAxes, clouds: list[Layer], places: list[Place], tiles: TileMaps | None
+    comparison: FinishedComparison, axes: SceneAxes, clouds: list[Layer], places: list[Place], tiles: TileMaps | None
 ) -> dict[str, Any]:
     """Return what the 3D view reads besides the points."""
     return {
@@ -175,7 +175,7 @@ def _arrows(candidate: Candidate) -> dict[str, Any] | None:
     return {"name": candidate.name, "values": rounded(values)}
 
 
-def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
+def _deformations(comparison: FinishedComparison) -> list[dict[str, Any]]:
     """Return the verdict on each candidate in words, with its numbers."""
     verdicts = []
     for candidate in comparison:
@@ -185,7 +185,7 @@ def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
     return verdicts
 
 
-def _facts(deformation: Deformation, comparison: SourcedComparison) -> dict[str, str]:
+def _facts(deformation: Deformation, comparison: FinishedComparison) -> dict[str, str]:
     """Return the numbers of a verdict by their names."""
     unit, size, noise = comparison.reference.unit, deformation.amplitude, deformation.noise
     rms, sigma, pairs = UNKNOWN, UNKNOWN, UNKNOWN
@@ -207,7 +207,7 @@ def _p_value(value: float | None) -> str:
     return UNKNOWN if value is None else f"{value:.2g}" if value >= 1e-9 else "< 1e-9"
 
 
-def _inputs(comparison: SourcedComparison) -> list[tuple[str, str, str]]:
+def _inputs(comparison: FinishedComparison) -> list[tuple[str, str, str]]:
     """Return role, path and SHA-256 of each input file."""
     inputs = comparison.inputs
     if inputs is None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.words import length, rounding_limit
 
 _PER_CANDIDATE = 3  # places per candidate and direction
@@ -44,14 +44,14 @@ class Place:
     radius: float
 
 
-def worst_places(comparison: SourcedComparison) -> list[Place]:
+def worst_places(comparison: FinishedComparison) -> list[Place]:
     """Return the places with the largest distances, both directions of each candidate, and the largest local change."""
     places = list(_places(comparison, max(1, min(_PER_CANDIDATE, _MAX_PLACES // (2 * len(comparison))))))
     largest = sorted(range(len(places)), key=lambda k: -places[k].distance)[:_MAX_PLACES]
     return [places[k] for k in sorted(largest)]
 
 
-def _places(comparison: SourcedComparison, count: int) -> Iterator[Place]:
+def _places(comparison: FinishedComparison, count: int) -> Iterator[Place]:
     unit, radius = comparison.reference.unit, _RADIUS_SHARE * comparison.reference.extent
     least = rounding_limit(comparison)
     for candidate in comparison:

@@ -15,7 +15,7 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.tiles import MIN_TILE_POINTS, TileDeviations, TileGrid, deviations_by_tile
 from pcbench.report.colors import Range, ranges
 from pcbench.report.html.packing import rounded
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.plot.rounding import round_length
 from pcbench.report.plot.views import COORDINATES, SceneAxes
 from pcbench.report.scalars import SCALARS
@@ -156,7 +156,7 @@ class TileMaps:
 
 
 def tile_maps(
-    comparison: SourcedComparison, end: float | None = None, axes: SceneAxes = COORDINATES
+    comparison: FinishedComparison, end: float | None = None, axes: SceneAxes = COORDINATES
 ) -> TileMaps | None:
     """Return the tiles of a comparison; None if no tile has enough points.
 

@@ -15,7 +15,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.colors import Range, ranges_of
-from pcbench.report.inputs import SourcedComparison
+from pcbench.report.inputs import FinishedComparison
 from pcbench.report.plot.maps import frame, frame_of
 from pcbench.report.plot.panels import join_title
 from pcbench.report.plot.views import Frame
@@ -71,7 +71,7 @@ class CandidateMaps:
     cameras: ViewingCameras | None = None
 
     @classmethod
-    def of_comparison(cls, comparison: SourcedComparison, range: float | None) -> CandidateMaps:
+    def of_comparison(cls, comparison: FinishedComparison, range: float | None) -> CandidateMaps:
         """Return the maps of a measured comparison."""
         reference = comparison.reference
         maps = {candidate.name: _measured(candidate) for candidate in comparison}

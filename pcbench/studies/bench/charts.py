@@ -138,7 +138,7 @@ def _chart_look(study: Bench, groups: list[Configuration]) -> _ChartLook:
     for c in groups:
         for key, value in c.choices.items():
             values.setdefault(key, {})[value] = None
-    varied = {key for key, of in values.items() if len(of) > 1}
+    varied = {key for key, settings in values.items() if len(settings) > 1}
     numeric_settings = frozenset(key for key in varied if all(map(_is_number, values[key])))
     text_settings = frozenset(varied - numeric_settings)
     series = list(dict.fromkeys(_series(c.method, c.choices, text_settings) for c in groups))
@@ -207,9 +207,9 @@ def _draw_marker(axis: Any, look: _ChartLook, quantity: _Quantity, c: Configurat
     x, y = _median(c, "wall_s"), _median(c, quantity.column)
     series = look.series(c.method, c.choices)
     color, area, shape = look.color[series], look.area(c), look.shape[series]
-    for side, at, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
+    for side, center, values in (("xerr", x, c.values("wall_s")), ("yerr", y, c.values(quantity.column))):
         if max(values) > min(values):
-            spread = [[at - min(values)], [max(values) - at]]
+            spread = [[center - min(values)], [max(values) - center]]
             axis.errorbar(x, y, **{side: spread}, color=_FRONT_COLOR, linewidth=0.9, capsize=2, zorder=4)
     seen = c.median("recall_visible") if quantity.column == "recall" else None
     if seen is not None:
@@ -229,7 +229,7 @@ def _draw_labels(axis: Any, look: _ChartLook, quantity: _Quantity) -> None:
         (_median(c, "wall_s"), _median(c, quantity.column))
         for c in front_configurations(look.configurations, quantity.column, higher_is_better=quantity.higher_is_better)
     ]
-    corners = [axis.transData.transform(at) for at in steps]
+    corners = [axis.transData.transform(place) for place in steps]
     corners.append(np.array([axis.bbox.x1, corners[-1][1]]))
     occupied = [Bbox([[a[0], a[1] - 1], [b[0], a[1] + 1]]) for a, b in pairwise(corners)]
     occupied += [Bbox([[b[0] - 1, min(a[1], b[1])], [b[0] + 1, max(a[1], b[1])]]) for a, b in pairwise(corners)]
@@ -294,9 +294,9 @@ def _failure_marks(figure: Any, look: _ChartLook, failed: Sequence[BenchRow]) ->
         word = figure.text(0, 0, text, fontsize=8)
         length = word.get_window_extent().width
         word.remove()
-        at, gap = float((np.log(time) - low) / (high - low) * width), 8 * figure.dpi / 72
-        right = (at - gap, at + gap + length), False
-        leftward = (at - gap - length, at + gap), True
+        column, gap = float((np.log(time) - low) / (high - low) * width), 8 * figure.dpi / 72
+        right = (column - gap, column + gap + length), False
+        leftward = (column - gap - length, column + gap), True
         # Place the label left of its cross if it would leave the strip on the right or overlap another label there.
         options = [option for option in (right, leftward) if option[0][0] >= 0 and option[0][1] <= width] or [right]
         lines.append([])

@@ -48,8 +48,8 @@ def _answer(study: Bench) -> Iterator[str]:
     *faster, best = front
     alone = sum(group.is_reliable for group in groups) == 1
     article_word = "an" if alone else "the highest"
-    at = f" at {threshold_text(study)}"
-    yield f"{best.name} has {article_word} F-score of {_score(best)}{at}, in {_seconds(best)}."
+    clause = f" at {threshold_text(study)}"
+    yield f"{best.name} has {article_word} F-score of {_score(best)}{clause}, in {_seconds(best)}."
     if faster:
         others = [f"{c.name} ({_score(c)} in {_seconds(c)})" for c in faster]
         yield f"Faster, with the best F-score for their time: {join_words(others)}."

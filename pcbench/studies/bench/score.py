@@ -280,9 +280,9 @@ def _threshold_scores(
     places = {"recall": whole - truth.origin}
     if protocol.visible_points is not None:
         places["recall_visible"] = protocol.visible_points - truth.origin
-    back = {name: _nearest_distances(to_truth.points, at) for name, at in places.items()}
+    back = {name: _nearest_distances(to_truth.points, points) for name, points in places.items()}
     if error_free is not None:
-        back |= {f"{name}_floor": _nearest_distances(error_free, at) for name, at in places.items()}
+        back |= {f"{name}_floor": _nearest_distances(error_free, points) for name, points in places.items()}
     for threshold in protocol.thresholds:
         t = threshold.length
         precision = float(np.mean(to_truth.distances <= t))

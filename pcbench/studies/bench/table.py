@@ -126,7 +126,9 @@ def threshold_table(study: Bench) -> list[list[str]]:
     for group in measured:
         scores = [row.score for row in group.rows if row.score is not None]
         for at_threshold in zip(*(score.thresholds for score in scores), strict=True):
-            columns = ([value for at in at_threshold if (value := getattr(at, key)) is not None] for key in keys)
+            columns = (
+                [value for scored in at_threshold if (value := getattr(scored, key)) is not None] for key in keys
+            )
             texts = (cell(median(values) if values else None, ".4g") for values in columns)
             rows.append([group.method, choice_text(group.choices), *texts])
     return rows

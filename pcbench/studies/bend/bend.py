@@ -320,7 +320,7 @@ def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Soluti
 
 
 def register_by_rays(
-    cloud: Cloud, found: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex
+    cloud: Cloud, solved: Mapping[str, Camera], truth: Mapping[str, Camera], surface: MeshIndex
 ) -> Cloud:
     """Register a cloud to the truth by rays of the true cameras.
 
@@ -330,14 +330,14 @@ def register_by_rays(
 
     Args:
         cloud: cloud in the frame of its cameras.
-        found: solved cameras by image name.
+        solved: solved cameras by image name.
         truth: true cameras by image name.
         surface: true surface.
 
     Raises:
         InputError: hardly any point is visible.
     """
-    names = sorted(set(found) & set(truth))
+    names = sorted(set(solved) & set(truth))
     middle = [0.5 * truth[names[0]].intrinsics.width, 0.5 * truth[names[0]].intrinsics.height]
     # Use the camera that shows the point nearest to its image centre, where intrinsics differ least.
     center_distances, origins, rays = (
@@ -346,11 +346,11 @@ def register_by_rays(
         np.zeros((len(cloud), 3)),
     )
     for name in names:
-        at, _ = found[name].project(cloud.points)
-        distance = np.where(in_frame(found[name], cloud.points), np.linalg.norm(at - middle, axis=1), np.inf)
+        pixels, _ = solved[name].project(cloud.points)
+        distance = np.where(in_frame(solved[name], cloud.points), np.linalg.norm(pixels - middle, axis=1), np.inf)
         closer, camera = distance < center_distances, truth[name]
         center_distances[closer], origins[closer] = distance[closer], camera.position
-        rays[closer] = camera.intrinsics.directions(at[closer]) @ camera.cam_from_world.rotation
+        rays[closer] = camera.intrinsics.directions(pixels[closer]) @ camera.cam_from_world.rotation
     seen = np.flatnonzero(center_distances < min(middle))
     hits = surface.cast(origins[seen], rays[seen])
     hit = hits.faces >= 0

@@ -152,9 +152,9 @@ def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, 
     min_error = 0.5 * min((error for error, *_ in points if error > 1e-3), default=0.01)
     min_rms = 0.3 * min((rms for _, rms, *_ in points if rms > 0), default=0.01)
     for error, rms, (low, high), bend, row in points:
-        at = max(rms, min_rms)
+        height = max(rms, min_rms)
         axis.errorbar(
-            max(error, min_error), at, [[at - max(low, min_rms)], [high - at]],
+            max(error, min_error), height, [[height - max(low, min_rms)], [high - height]],
             color=colors[row.name], marker="s" if row.factors["control"] == "True" else "o", markersize=8,
             markerfacecolor=None if bend.is_bent else "white", capsize=3,
         )  # fmt: skip

@@ -135,10 +135,10 @@ def measure_solutions(
     return tuple(rows)
 
 
-def _cells(found: Deformation) -> tuple[tuple[float, ...], ...] | None:
-    if found.field is None:
+def _cells(deformation: Deformation) -> tuple[tuple[float, ...], ...] | None:
+    if deformation.field is None:
         return None
-    columns = np.column_stack([found.field.places, found.field.vertical, found.field.sigma])
+    columns = np.column_stack([deformation.field.places, deformation.field.vertical, deformation.field.sigma])
     return tuple(map(tuple, columns.tolist()))
 
 
@@ -231,8 +231,8 @@ def failures(study: BendStudy) -> Iterator[str]:
     for row in study.rows:
         if row.failure:
             names.setdefault(row.failure, []).append(repr(row.name))
-    for reason, of in names.items():
-        yield f"{join_words(of)} failed: {reason}"
+    for reason, solutions in names.items():
+        yield f"{join_words(solutions)} failed: {reason}"
 
 
 def csv_text(study: BendStudy) -> str:
@@ -284,7 +284,7 @@ def _bend_changes(rows: Sequence[SolutionResult]) -> Iterator[_BendChange]:
     for pair in combinations(measured_bends(rows), 2):
         differ = [factor for factor in FACTORS if pair[0][0].factors[factor] != pair[1][0].factors[factor]]
         if len(differ) == 1:
-            (worse, more), (better, less) = sorted(pair, key=lambda of: -(of[1].rms or 0.0))
+            (worse, more), (better, less) = sorted(pair, key=lambda item: -(item[1].rms or 0.0))
             separate = more.ci is not None and less.ci is not None and more.ci[0] > less.ci[1]
             yield _BendChange(
                 differ[0], worse, better, (more.rms or 0.0) - (less.rms or 0.0), more.is_bent and separate
@@ -318,7 +318,7 @@ def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]
         and row.factors["images"] == first.factors["images"]
     ]
     if same:
-        first, worst, bend = max(same, key=lambda found: found[2].rms or 0.0)
+        first, worst, bend = max(same, key=lambda item: item[2].rms or 0.0)
         errors = [cell(row.reprojection_error) for row in (first, worst)]
         yield (
             f"Solutions of the same images differ by {bend.size_text(unit)} RMS beyond any affine motion,"

@@ -63,4 +63,4 @@ def _by_text(named: Iterable[tuple[str, str]]) -> list[str]:
     names: dict[str, list[str]] = {}
     for name, text in named:
         names.setdefault(text, []).append(repr(name))
-    return [f"{join_words(of)}: {text}" for text, of in names.items()]
+    return [f"{join_words(solutions)}: {text}" for text, solutions in names.items()]

@@ -94,9 +94,9 @@ def plain_log_ticks(scale: Any) -> None:
 
 def draw_profile(axis: Any, trend: Trend, color: str, label: str) -> None:
     """Draw the means of a trend's bins, and the band that contains 95 % of the means under noise alone."""
-    at, mean, null = np.array([(place.at, place.mean, place.null) for place in trend.profile]).T
-    axis.fill_between(at, -null, null, color=color, alpha=0.12, linewidth=0)
-    axis.plot(at, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=label)
+    places, mean, null = np.array([(place.at, place.mean, place.null) for place in trend.profile]).T
+    axis.fill_between(places, -null, null, color=color, alpha=0.12, linewidth=0)
+    axis.plot(places, mean, color=color, marker="o", markersize=3.5, linewidth=1.6, label=label)
 
 
 def percent_axis(axis: Any) -> None:

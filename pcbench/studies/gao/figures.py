@@ -74,10 +74,10 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
             half = np.linspace(-np.pi / 2, np.pi / 2, 91)
             side.plot(radius * np.cos(half), middle[2] + radius * np.sin(half), label=label, **style)
         if place is not None:
-            at = ", ".join(f"{value + 0.0:.1f}".replace("-0.0", "0.0") for value in place)
+            focus_text = ", ".join(f"{value + 0.0:.1f}".replace("-0.0", "0.0") for value in place)
             mark = {"color": _FOCUS_COLOR, "markersize": 14, "markeredgewidth": 2, "linestyle": "none"}
             above.plot(*place[:2], "+", **mark)
-            side.plot(0, place[2], "+", label=f"focus: ({at}) {unit}", **mark)
+            side.plot(0, place[2], "+", label=f"focus: ({focus_text}) {unit}", **mark)
         above.scatter(*positions[:, :2].T, s=22, color=_CAMERA_COLOR, zorder=3)
         label = f"{len(positions)} cameras" + ("" if place is not None else ", which look at no common point")
         side.scatter(across, positions[:, 2], s=22, color=_CAMERA_COLOR, zorder=3, label=label)
@@ -109,9 +109,9 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
         for scene in study.scenes:
             places = {}
             for cloud in scene.clouds:
-                of = cloud.evaluation(reference)
-                if of is not None and of.c2r_rms and of.r2c_rms:
-                    places[cloud.name] = of.c2r_rms, of.r2c_rms
+                evaluation = cloud.evaluation(reference)
+                if evaluation is not None and evaluation.c2r_rms and evaluation.r2c_rms:
+                    places[cloud.name] = evaluation.c2r_rms, evaluation.r2c_rms
                     look = {"color": _COLORS[cloud.name], "marker": _MARKERS[cloud.name]}
                     axis.scatter(*places[cloud.name], s=80, label=cloud.name, zorder=3, **look)
             way = [places[name] for name in (SPARSE, MEANS, SURFACE) if name in places]
@@ -146,8 +146,8 @@ def draw_growth(study: GaoStudy, path: Path) -> bool:
         unit = scene.unit or _UNKNOWN_UNIT
         for axis, (reference, which) in zip(line, columns, strict=True):
             for cloud in scene.clouds:
-                of = cloud.evaluation(reference)
-                growth = None if of is None or of.deformation is None else of.deformation.growth
+                evaluation = cloud.evaluation(reference)
+                growth = None if evaluation is None or evaluation.deformation is None else evaluation.deformation.growth
                 trend: Trend | None = None if growth is None else getattr(growth, which)
                 if trend is not None:
                     draw_profile(axis, trend, _COLORS[cloud.name], cloud.name)

@@ -232,7 +232,11 @@ def _run_scene(job: GaoJob, cell: _SceneCell, scene_step: Callable[[str], None])
         looked_at=None if focus is None else tuple(focus.tolist()),
         region=crop,
         cameras=camera_errors(solved, scene.cameras, _crop_truth(references[TRUTH], crop)) if solved else None,
-        references={reference: of.counts for reference, of in evaluations.items() if of.counts is not None},
+        references={
+            reference: evaluation.counts
+            for reference, evaluation in evaluations.items()
+            if evaluation.counts is not None
+        },
         clouds=tuple(replace(cloud, against=_against(cloud.name, evaluations)) for cloud in clouds),
         injected=injected,
     )
@@ -240,7 +244,7 @@ def _run_scene(job: GaoJob, cell: _SceneCell, scene_step: Callable[[str], None])
         method.workspace for method in methods(job) if method.name in files and method.workspace in (SPLAT, FIELD)
     ]
     views = {workspace: find_views(out / WORK_FOLDER / workspace) for workspace in rendering}
-    reports = [of.folder for of in evaluations.values() if of.folder is not None]
+    reports = [evaluation.folder for evaluation in evaluations.values() if evaluation.folder is not None]
     return _SceneOutcome(result, reports, {workspace: folder for workspace, folder in views.items() if folder})
 
 
@@ -255,7 +259,7 @@ def _crop_truth(truth: Path | None, crop: str) -> Cloud | None:
 
 def _against(name: str, evaluations: Mapping[str, CloudEvaluation]) -> tuple[ReferenceEvaluation, ...]:
     """Return the evaluations of one cloud, one per reference."""
-    return tuple(of.clouds[name] for of in evaluations.values() if name in of.clouds)
+    return tuple(evaluation.clouds[name] for evaluation in evaluations.values() if name in evaluation.clouds)
 
 
 def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]) -> ViewStudy | None:

@@ -105,14 +105,16 @@ class _GrowingDisplacement:
         return replace(cloud, points=cloud.points + rms * self._displacements(cloud.points))
 
 
-def _result(deformed: str, rms: float, found: Mapping[str, Deformation | None]) -> InjectedDeformation:
-    labels = {name: "failed" if each is None else each.label for name, each in found.items()}
+def _result(deformed: str, rms: float, deformations: Mapping[str, Deformation | None]) -> InjectedDeformation:
+    labels = {name: "failed" if each is None else each.label for name, each in deformations.items()}
     sizes = {
         name: each.amplitude.rms
-        for name, each in found.items()
+        for name, each in deformations.items()
         if each is not None and each.amplitude is not None and each.assuming_pose().verdict == _NON_AFFINE
     }
-    limits = {name: each.size_limit for name, each in found.items() if each is not None and each.verdict != "undecided"}
+    limits = {
+        name: each.size_limit for name, each in deformations.items() if each is not None and each.verdict != "undecided"
+    }
     return InjectedDeformation(deformed, rms, labels, sizes, attribute(sizes, limits))
 
 

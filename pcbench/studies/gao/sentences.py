@@ -62,8 +62,8 @@ def _densification(study: GaoStudy) -> Iterator[str]:
         " densification"
     )
     reference = _judging_reference(study)
-    completeness = _LengthChange.of_densification(study, reference, lambda of: of.r2c_rms)
-    accuracy = _LengthChange.of_densification(study, reference, lambda of: of.c2r_rms)
+    completeness = _LengthChange.of_densification(study, reference, lambda evaluation: evaluation.r2c_rms)
+    accuracy = _LengthChange.of_densification(study, reference, lambda evaluation: evaluation.c2r_rms)
     if completeness is None or accuracy is None:
         yield f"{text}."
         return
@@ -74,7 +74,7 @@ def _densification(study: GaoStudy) -> Iterator[str]:
 
 def _hidden_errors(study: GaoStudy) -> Iterator[str]:
     """Yield the errors that mvs as the reference hides, if the truth is known."""
-    own = [of for scene in study.scenes if (of := scene.evaluation(MVS, TRUTH)) is not None]
+    own = [evaluation for scene in study.scenes if (evaluation := scene.evaluation(MVS, TRUTH)) is not None]
     if not own:
         yield (
             "The truth is unknown, so errors that clouds share with mvs (made of the same images and cameras) stay"
@@ -82,8 +82,8 @@ def _hidden_errors(study: GaoStudy) -> Iterator[str]:
             " alike."
         )
         return
-    forth = _geometric_mean([of.c2r_rms for of in own if of.c2r_rms is not None])
-    back = _geometric_mean([of.r2c_rms for of in own if of.r2c_rms is not None])
+    forth = _geometric_mean([evaluation.c2r_rms for evaluation in own if evaluation.c2r_rms is not None])
+    back = _geometric_mean([evaluation.r2c_rms for evaluation in own if evaluation.r2c_rms is not None])
     yield (
         "A reference made of the same images hides its own errors: mvs deviates from the truth by"
         f" {length(forth, study.unit)} RMS (c→r), and the visible truth from mvs by {length(back, study.unit)} RMS"
@@ -97,8 +97,8 @@ def _deformations(study: GaoStudy) -> Iterator[str]:
     verdicts: dict[str, list[str]] = {}
     for scene in study.scenes:
         for cloud in scene.clouds:
-            if (of := cloud.evaluation(reference)) is not None and of.deformation is not None:
-                verdicts.setdefault(cloud.name, []).append(of.deformation.verdict)
+            if (evaluation := cloud.evaluation(reference)) is not None and evaluation.deformation is not None:
+                verdicts.setdefault(cloud.name, []).append(evaluation.deformation.verdict)
     if not verdicts:
         return
     deformed = [

@@ -52,8 +52,8 @@ def measures_table(study: GaoStudy) -> Iterator[list[str]]:
         yield from _scene_row(scene, study, len(head))
         for reference in references(scene):
             for cloud in scene.clouds:
-                if (of := _find_evaluation(cloud, reference)) is not None:
-                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measure_cells(of)]
+                if (evaluation := _find_evaluation(cloud, reference)) is not None:
+                    yield [cloud.name, reference, f"{cloud.points or 0:,}", *_measure_cells(evaluation)]
         for cloud in scene.clouds:
             if cloud.failure:
                 yield [cloud.name, "failed", *[""] * (len(_MEASURES) + 2), "", ""]
@@ -104,11 +104,12 @@ def failures(study: GaoStudy) -> Iterator[str]:
     """Yield one line per failure."""
     for scene in study.scenes:
         for cloud in scene.clouds:
+            title = _title(scene, cloud, study)
             if cloud.failure:
-                yield f"{_title(scene, cloud, study)} failed: {cloud.failure}"
-            for of in cloud.against:
-                if of.failure:
-                    yield f"{_title(scene, cloud, study)} could not be measured against {of.reference}: {of.failure}"
+                yield f"{title} failed: {cloud.failure}"
+            for evaluation in cloud.against:
+                if evaluation.failure:
+                    yield f"{title} could not be measured against {evaluation.reference}: {evaluation.failure}"
 
 
 def verdicts(study: GaoStudy) -> Iterator[str]:
@@ -116,10 +117,10 @@ def verdicts(study: GaoStudy) -> Iterator[str]:
     for scene in study.scenes:
         for reference in references(scene):
             for cloud in scene.clouds:
-                of = cloud.evaluation(reference)
-                if of is not None and of.deformation is not None:
+                evaluation = cloud.evaluation(reference)
+                if evaluation is not None and evaluation.deformation is not None:
                     name = f"{_title(scene, cloud, study)}, against {reference}"
-                    yield of.deformation.sentence(name, scene.unit or "")
+                    yield evaluation.deformation.sentence(name, scene.unit or "")
 
 
 def csv_text(study: GaoStudy) -> str:
@@ -133,10 +134,12 @@ def csv_text(study: GaoStudy) -> str:
         for cloud in scene.clouds:
             first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.beside_others]
             first.append(cloud.memory_bytes)
-            for of in cloud.against or (ReferenceEvaluation("", failure=cloud.failure),):
-                values = [None if of.measures is None else getattr(of.measures, field) for field in fields]
-                rest = [of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]
-                rows.append([*first, of.reference, of.points, *values, *rest])
+            for evaluation in cloud.against or (ReferenceEvaluation("", failure=cloud.failure),):
+                values = [
+                    None if evaluation.measures is None else getattr(evaluation.measures, field) for field in fields
+                ]
+                rest = [evaluation.floor, *_bend_values(evaluation.deformation), evaluation.failure or cloud.failure]
+                rows.append([*first, evaluation.reference, evaluation.points, *values, *rest])
     return csv_of([*head, *fields, "d1_floor", *bend, "failure"], rows)
 
 
@@ -161,7 +164,7 @@ def _camera_errors(errors: CameraErrors, scene: SceneResult) -> str:
 
 
 def _find_evaluation(cloud: CloudResult, reference: str) -> ReferenceEvaluation | None:
-    return next((of for of in cloud.against if of.reference == reference), None)
+    return next((evaluation for evaluation in cloud.against if evaluation.reference == reference), None)
 
 
 def _scene_row(scene: SceneResult, study: GaoStudy, columns: int) -> Iterator[list[str]]:
@@ -174,13 +177,13 @@ def _title(scene: SceneResult, cloud: CloudResult, study: GaoStudy) -> str:
     return f"{scene.name} {cloud.name}" if len(study.scenes) > 1 else cloud.name
 
 
-def _measure_cells(of: ReferenceEvaluation) -> list[str]:
-    if of.measures is None:
+def _measure_cells(evaluation: ReferenceEvaluation) -> list[str]:
+    if evaluation.measures is None:
         return ["failed", *[""] * len(_MEASURES), "", ""]
-    m, bend = of.measures, of.deformation
-    values = (m.d1_mse, of.r2c_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
+    m, bend = evaluation.measures, evaluation.deformation
+    values = (m.d1_mse, evaluation.r2c_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
     size = UNKNOWN if bend is None or bend.amplitude is None else _size_text(bend)
-    return [f"{of.points or 0:,}", *map(format_number, values), UNKNOWN if bend is None else bend.label, size]
+    return [f"{evaluation.points or 0:,}", *map(format_number, values), UNKNOWN if bend is None else bend.label, size]
 
 
 def format_number(value: float | None) -> str:
@@ -205,7 +208,9 @@ def _bend_values(bend: Deformation | None) -> Sequence[object]:
 
 def notes(study: GaoStudy) -> Iterator[str]:
     """Yield what was measured of each scene, notes of the reconstructors and doubts about registrations."""
-    results = [of.deformation for scene in study.scenes for cloud in scene.clouds for of in cloud.against]
+    results = [
+        evaluation.deformation for scene in study.scenes for cloud in scene.clouds for evaluation in cloud.against
+    ]
     if any(result is not None and result.conditional_verdict is not None for result in results):
         yield "(?): verdict that holds if the pose is right; the registration is doubtful"
     for scene in study.scenes:
@@ -213,5 +218,7 @@ def notes(study: GaoStudy) -> Iterator[str]:
         if scene.cameras is not None:
             yield f"{scene.name}: {_camera_errors(scene.cameras, scene)}"
         for cloud in scene.clouds:
-            doubts = [f"against {of.reference}: {text}" for of in cloud.against for text in of.doubts]
+            doubts = [
+                f"against {evaluation.reference}: {text}" for evaluation in cloud.against for text in evaluation.doubts
+            ]
             yield from (f"{scene.name} {cloud.name}: {note}" for note in (*cloud.notes, *doubts))

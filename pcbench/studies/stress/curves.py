@@ -43,14 +43,14 @@ def recall_chart(study: StressStudy) -> Any | None:
     )
     figure, axes = canvas(len(scopes), len(columns), (4.8, 3.6), extra=1.0)
     for line, scope in zip(axes, scopes, strict=True):
-        for axis, (name, title, of) in zip(line, columns, strict=True):
+        for axis, (name, title, axis_unit) in zip(line, columns, strict=True):
             axis.set_xscale("log")
             axis.set_xlim(*_error_limits(study, name))
             plain_log_ticks(axis.xaxis)
             for row in rows:
                 if row.method.scope == scope:
                     _draw_recall(axis, row, name, styles[row.name])
-            axis.set_xlabel(axis_title(title, of))
+            axis.set_xlabel(axis_title(title, axis_unit))
             axis.set_title(f"{_SCOPE_TITLES[scope]}: {title if name != 'error' else 'relative error'}", fontsize=10)
             percent_axis(axis)
         line[0].set_ylabel("recall: runs with at most this error [%]")
@@ -106,11 +106,11 @@ def profile_chart(study: StressStudy) -> Any | None:
             ratios = np.where(np.isfinite(times), times / best, np.inf)
         finite = ratios[np.isfinite(ratios)]
         top = min(_MAX_PROFILE_FACTOR, 1.5 * max(2.0, float(finite.max(initial=2.0))))
-        for row, of in zip(group, ratios.T, strict=True):
-            at = np.sort(of[np.isfinite(of)])
-            shares = 100 * np.arange(1, len(at) + 1) / len(ratios)
+        for row, row_ratios in zip(group, ratios.T, strict=True):
+            sorted_ratios = np.sort(row_ratios[np.isfinite(row_ratios)])
+            shares = 100 * np.arange(1, len(sorted_ratios) + 1) / len(ratios)
             end = float(shares[-1]) if len(shares) else 0.0
-            first = np.concatenate([[1.0], at, [top]])
+            first = np.concatenate([[1.0], sorted_ratios, [top]])
             axis.step(first, np.concatenate([[0.0], shares, [end]]), where="post", label=row.name,
                       **styles[row.name].line_style())  # fmt: skip
         axis.set_xscale("log")
@@ -185,12 +185,12 @@ def coverage_chart(study: StressStudy) -> Any | None:
             groups = row.by_ladder
             shift = _DODGE * ((number + 0.5) / len(rows) - 0.5)
             style = styles[row.name]
-            for at, ladder in enumerate(ladders[subject]):
+            for position, ladder in enumerate(ladders[subject]):
                 rate = coverage(groups.get(ladder.name, ()))
                 if rate.total:
                     low, high = rate.interval
                     y = 100 * rate.share
-                    axis.errorbar(y, at + shift, xerr=[[max(0, y - 100 * low)], [max(0, 100 * high - y)]],
+                    axis.errorbar(y, position + shift, xerr=[[max(0, y - 100 * low)], [max(0, 100 * high - y)]],
                                   color=style.color, marker=style.marker, markersize=5, capsize=2)  # fmt: skip
             axis.plot([], [], color=style.color, marker=style.marker, label=row.name)
         axis.axvline(_NOMINAL, color=GREY, linewidth=1, linestyle=":")
@@ -253,20 +253,20 @@ def size_chart(study: StressStudy) -> Any | None:
 
 def _draw_recall(axis: Any, row: StressRow[RegistrationCell], name: str, style: RowStyle) -> None:
     values = [getattr(cell, name) for cell in row.cells]
-    known = np.sort([value for value in values if value is not None])
-    shares = 100 * np.arange(len(known) + 1) / max(len(values), 1)
+    measured = np.sort([value for value in values if value is not None])
+    shares = 100 * np.arange(len(measured) + 1) / max(len(values), 1)
     low, high = axis.get_xlim()
-    at = np.concatenate([[low], np.maximum(known, low), [high]])
-    axis.step(at, np.append(shares, shares[-1]), where="post", label=row.name, **style.line_style())
+    steps = np.concatenate([[low], np.maximum(measured, low), [high]])
+    axis.step(steps, np.append(shares, shares[-1]), where="post", label=row.name, **style.line_style())
 
 
 def _error_limits(study: StressStudy, name: str) -> tuple[float, float]:
     """Return the range of an error over all methods: its inner 99 %, at most five decades."""
     values = [getattr(cell, name) for cell in study.registrations]
-    known = [value for value in values if value]
-    if not known:
+    measured = [value for value in values if value]
+    if not measured:
         return 0.1, 10.0
-    low, high = np.percentile(known, [0.5, 99.5])
+    low, high = np.percentile(measured, [0.5, 99.5])
     return max(0.5 * float(low), 1e-5 * float(high)), 2.0 * float(high)
 
 
@@ -299,13 +299,13 @@ def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow[Any]], 
         by_level = grouped(row.by_ladder[ladder.name], lambda cell: cell.level)
         shift = _DODGE * ((number + 0.5) / len(rows) - 0.5)
         places = [
-            (at + shift, Tally.of(by_level[level])) for at, level in enumerate(ladder.levels) if level in by_level
+            (place + shift, Tally.of(by_level[level])) for place, level in enumerate(ladder.levels) if level in by_level
         ]
         shares = [100 * tally.of_groups(row.subject, Group.SUCCESS).share for _, tally in places]
-        axis.plot([at for at, _ in places], shares, **style.line_style())
-        for at, tally in places:
+        axis.plot([place for place, _ in places], shares, **style.line_style())
+        for place, tally in places:
             solid = not tally.of_groups(row.subject, Group.CONFIDENT).count
-            draw_rate(axis, at, tally.of_groups(row.subject, Group.SUCCESS), style, filled=solid, bars=bars)
+            draw_rate(axis, place, tally.of_groups(row.subject, Group.SUCCESS), style, filled=solid, bars=bars)
         axis.plot([], [], marker=style.marker, label=row.name, **style.line_style())
     axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
     axis.set_xlabel(axis_title(ladder.title, ladder.unit))

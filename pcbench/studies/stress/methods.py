@@ -73,11 +73,11 @@ class Lengths:
 def _ours(method: str) -> Register:
     def run(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
         try:
-            found = register(reference, candidate, method)
+            registration = register(reference, candidate, method)
         except RegistrationError as error:
             return PoseResult(None, doubtful=True, message=" ".join(str(error).split()))
-        codes = tuple(notice.code for notice in found.warnings)
-        return PoseResult(found.T_reference_candidate, found.doubtful, codes)
+        codes = tuple(notice.code for notice in registration.warnings)
+        return PoseResult(registration.T_reference_candidate, registration.doubtful, codes)
 
     return run
 
@@ -125,13 +125,13 @@ def open3d_features(
         features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
     if solver == "FGR":
         options = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
-        found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
+        fit = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
     else:
         checkers = [
             o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
             o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
         ]
-        found = o3d.registration_ransac_based_on_feature_matching(
+        fit = o3d.registration_ransac_based_on_feature_matching(
             *clouds,
             *features,
             True,
@@ -143,7 +143,7 @@ def open3d_features(
         )
     moving, fixed = (_open3d_cloud(points, lengths.voxel) for points in (candidate, reference))
     plane = o3d.TransformationEstimationPointToPlane()
-    result = o3d.registration_icp(moving, fixed, lengths.max_distances[-1], found.transformation, plane)
+    result = o3d.registration_icp(moving, fixed, lengths.max_distances[-1], fit.transformation, plane)
     return _judged(result.transformation, result.fitness)
 
 
@@ -184,9 +184,9 @@ def _fricp(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
     library.set_num_threads(1)
     lengths = Lengths.of(reference)
     fixed, moving = (_open3d_cloud(points, lengths.voxel) for points in (reference, candidate))
-    found = library.registration_icp(moving, fixed, init=np.eye(4), estimation_method="point_to_plane")
-    evaluation = library.evaluate_registration(moving, fixed, lengths.max_distances[-1], found.transformation)
-    return _judged(found.transformation, evaluation.fitness)
+    fit = library.registration_icp(moving, fixed, init=np.eye(4), estimation_method="point_to_plane")
+    evaluation = library.evaluate_registration(moving, fixed, lengths.max_distances[-1], fit.transformation)
+    return _judged(fit.transformation, evaluation.fitness)
 
 
 def _kiss(reference: FloatArray, candidate: FloatArray, seed: int) -> PoseResult:

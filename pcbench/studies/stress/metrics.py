@@ -108,8 +108,8 @@ def outcome_of(value: MeasuredValue, exact: float) -> str:
 
 
 def _ours(pair: StressPair, seed: int) -> dict[str, MeasuredValue]:
-    found = compare(pair.reference, pair.points, Settings(register="none", seed=seed))
-    metrics = next(iter(found)).metrics
+    comparison = compare(pair.reference, pair.points, Settings(register="none", seed=seed))
+    metrics = next(iter(comparison)).metrics
     return {
         MEAN_DISTANCE: _value(metrics.mean_distance.accuracy),
         RMS_OFF_SURFACE: _value(metrics.d2_mse.accuracy, root=True),

@@ -192,7 +192,10 @@ def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult | None
     if values is None:
         return None
     cell = PAIR_SUBJECTS[plan.subject].cell
-    return RunResult(tuple(from_json(cell, row) for row in values["cells"]), values["pose"])
+    try:
+        return RunResult(tuple(from_json(cell, row) for row in values["cells"]), values["pose"])
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _is_final(result: RunResult | None) -> bool:

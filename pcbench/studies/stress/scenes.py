@@ -147,19 +147,19 @@ def given_pair(reference: Cloud, candidate: Cloud, method: str) -> StressPair:
         InputError: the method finds no pose or a doubtful one, or the geometry does not fix the pose.
     """
     try:
-        found = register(reference, candidate, method)
+        registration = register(reference, candidate, method)
     except RegistrationError as error:
         raise InputError(f"the study needs a true pose, and `{method}` finds none: {error}") from error
-    if found.doubtful:
-        reasons = "; ".join(str(notice) for notice in found.warnings)
+    if registration.doubtful:
+        reasons = "; ".join(str(notice) for notice in registration.warnings)
         raise InputError(
             f"the study needs a true pose, and the one that `{method}` finds is doubtful: {reasons}; choose another"
             " --register, such as matrix:FILE with a surveyed pose"
         )
-    for notice in found.warnings:
+    for notice in registration.warnings:
         if notice.code == UNOBSERVABLE:
             raise InputError(f"the study needs a true pose: {notice}; use clouds with surfaces in several directions")
-    T = found.T_reference_candidate
+    T = registration.T_reference_candidate
     fixed, moving = (_thinned(cloud.points) for cloud in (reference, candidate))
     points = T.apply(moving)
     extent = extent_of(fixed)
@@ -169,8 +169,8 @@ def given_pair(reference: Cloud, candidate: Cloud, method: str) -> StressPair:
         normals=estimate_normals(Index(points)).directions,
         spacing=median_spacing(Index(fixed)),
         extent=extent,
-        noise=found.rmse,
-        candidate_noise=found.rmse,
+        noise=registration.rmse,
+        candidate_noise=registration.rmse,
         T_true=T,
         plants=plants_of(points, reference, extent),
     )

@@ -115,10 +115,10 @@ class VerdictRun(NamedTuple):
 def run_deform(pair: StressPair, seed: int) -> VerdictRun:
     """Register a pair and test its deformation, as `pcbench deform` does."""
     try:
-        registration, found = deform(pair.reference, pair.candidate, "icp", seed=seed)
+        registration, deformation = deform(pair.reference, pair.candidate, "icp", seed=seed)
     except RegistrationError as error:
         return VerdictRun(None, None, " ".join(str(error).split()))
-    return VerdictRun(registration.T_reference_candidate, found)
+    return VerdictRun(registration.T_reference_candidate, deformation)
 
 
 def outcome_of(values: VerdictValues, true_rms: float, noise: float, *, pose_is_right: bool) -> tuple[str, str]:
@@ -142,40 +142,40 @@ def outcome_of(values: VerdictValues, true_rms: float, noise: float, *, pose_is_
     return RIGHT, ""
 
 
-def _ours(found: Deformation) -> VerdictValues:
-    size = found.amplitude if found.verdict == NON_AFFINE else None
+def _ours(deformation: Deformation) -> VerdictValues:
+    size = deformation.amplitude if deformation.verdict == NON_AFFINE else None
     return VerdictValues(
-        found.verdict,
+        deformation.verdict,
         None if size is None else size.rms_surface,
         None if size is None else size.ci_surface,
-        found.size_limit,
-        tuple(notice.code for notice in found.warnings),
+        deformation.size_limit,
+        tuple(notice.code for notice in deformation.warnings),
     )
 
 
-def _by_bic(found: Deformation) -> VerdictValues:
+def _by_bic(deformation: Deformation) -> VerdictValues:
     """Choose the model by N ln(mean squared residual) + k ln N over all N pairs of points."""
-    if not found.rungs or not found.pairs or found.remaining_rms is None:
+    if not deformation.rungs or not deformation.pairs or deformation.remaining_rms is None:
         return VerdictValues(UNDECIDED)
-    selected = next(rung for rung in found.rungs if rung.model == found.model)
-    rigid_mse = found.remaining_rms**2 + selected.rms_explained**2
-    count = found.pairs
+    selected = next(rung for rung in deformation.rungs if rung.model == deformation.model)
+    rigid_mse = deformation.remaining_rms**2 + selected.rms_explained**2
+    count = deformation.pairs
     scores = {
         rung.model: count * math.log(max(rigid_mse - rung.rms_explained**2, 1e-300)) + rung.parameters * math.log(count)
-        for rung in found.rungs
+        for rung in deformation.rungs
     }
-    return _choice(found, min(scores, key=lambda model: scores[model]))
+    return _choice(deformation, min(scores, key=lambda model: scores[model]))
 
 
-def _by_tiles(found: Deformation) -> VerdictValues:
+def _by_tiles(deformation: Deformation) -> VerdictValues:
     """Choose the model with the smallest squared residual in tiles that were left out of its fit."""
-    if not found.rungs:
+    if not deformation.rungs:
         return VerdictValues(UNDECIDED)
-    return _choice(found, min(found.rungs, key=lambda rung: rung.cv_score).model)
+    return _choice(deformation, min(deformation.rungs, key=lambda rung: rung.cv_score).model)
 
 
-def _choice(found: Deformation, model: str) -> VerdictValues:
-    explained = {rung.model: rung.rms_explained**2 for rung in found.rungs}
+def _choice(deformation: Deformation, model: str) -> VerdictValues:
+    explained = {rung.model: rung.rms_explained**2 for rung in deformation.rungs}
     if model in _NAMES:
         return VerdictValues(_NAMES[model])
     return VerdictValues(NON_AFFINE, math.sqrt(max(0.0, explained[model] - explained["affine"])))

@@ -124,12 +124,14 @@ def reconstruction_headlines(study: StressStudy) -> Iterator[str]:
     """Yield the scores on the unperturbed scene, how far half of them is kept, and how often that is not said."""
     info, scores, limits, silent = study.photographs, [], [], []
     for row in stress_rows(study, RECONSTRUCTION):
-        known = [cell.fscore for cell in row.cells if cell.ladder == UNPERTURBED and cell.fscore is not None]
-        scores.append(f"{row.name} {median(known):.2g}" if known else f"{row.name} none, so its clouds are not judged")
-        ranges = [limit_text(limit) for limit in safe_ranges(study, row) if known and limit.safe_levels]
+        fscores = [cell.fscore for cell in row.cells if cell.ladder == UNPERTURBED and cell.fscore is not None]
+        scores.append(
+            f"{row.name} {median(fscores):.2g}" if fscores else f"{row.name} none, so its clouds are not judged"
+        )
+        ranges = [limit_text(limit) for limit in safe_ranges(study, row) if fscores and limit.safe_levels]
         limits += [f"{row.name} {join_words(ranges)}"] if ranges else []
         perturbed = [cell for cell in row.cells if cell.ladder != UNPERTURBED]
-        if known and perturbed:
+        if fscores and perturbed:
             silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(Group.CONFIDENT))}")
     if info is not None and scores:
         yield f"F-score at {info.threshold:.3g} m on the unperturbed scene: {'; '.join(scores)}."

@@ -66,17 +66,17 @@ def save_worst(
     failures = []
     for number, (cell, run, pose) in enumerate(silent[:_WORST], 1):
         perturbed = build_pair(run, pair)
-        found = Similarity.from_matrix(pose).apply(perturbed.candidate)
+        aligned = Similarity.from_matrix(pose).apply(perturbed.candidate)
         file = f"worst_{number}.npz"
         rng = np.random.default_rng(0)
         fixed, moving = (
-            np.sort(rng.permutation(len(points))[:_PICTURE_POINTS]) for points in (perturbed.reference, found)
+            np.sort(rng.permutation(len(points))[:_PICTURE_POINTS]) for points in (perturbed.reference, aligned)
         )
         with atomic_write(out / file) as stream:
             np.savez_compressed(
                 stream,
                 reference=perturbed.reference[fixed],
-                found=found[moving],
+                found=aligned[moving],
                 true=perturbed.points[moving],
             )
         failures.append(SilentFailure(cell, file))
@@ -97,12 +97,12 @@ def draw_worst(study: StressStudy, failure: SilentFailure, folder: Path, path: P
         MissingExtra: matplotlib is not installed.
         OSError: the file of the clouds cannot be read, or the picture cannot be written.
     """
-    reference, found, true = read_clouds(folder / failure.file)
+    reference, aligned, true = read_clouds(folder / failure.file)
     look = Figures()
-    frame = Frame.of(_box(reference, found), [reference, found])
-    errors = np.linalg.norm(found - true, axis=1)
+    frame = Frame.of(_box(reference, aligned), [reference, aligned])
+    errors = np.linalg.norm(aligned - true, axis=1)
     scale = Range(0.0, max(float(errors.max()), 1e-12), "grey: reference; coloured: candidate under the found pose")
-    points = np.concatenate([reference, found]) - frame.box.center
+    points = np.concatenate([reference, aligned]) - frame.box.center
     greys = np.broadcast_to(np.array(_REFERENCE_COLOR, np.uint8), reference.shape)
     colors = np.concatenate([greys, scale.colors(errors)])
     behind = rgb(look.ground("dark"))
@@ -142,14 +142,14 @@ def read_clouds(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     try:
         with np.load(path) as arrays:
-            reference, found, true = (np.asarray(arrays[name], np.float64) for name in ("reference", "found", "true"))
+            reference, aligned, true = (np.asarray(arrays[name], np.float64) for name in ("reference", "found", "true"))
     except (KeyError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(f"{path}: the file is damaged: {describe_damage(error)}") from error
-    if found.shape != true.shape:
-        raise InputError(f"{path}: the file is damaged: {len(found)} found and {len(true)} true points")
-    return reference, found, true
+    if aligned.shape != true.shape:
+        raise InputError(f"{path}: the file is damaged: {len(aligned)} found and {len(true)} true points")
+    return reference, aligned, true
 
 
-def _box(reference: FloatArray, found: FloatArray) -> AxisBox:
+def _box(reference: FloatArray, aligned: FloatArray) -> AxisBox:
     """Return the box of the reference, enlarged for the candidate, at most by a quarter on each side."""
-    return AxisBox.around(reference).widen([AxisBox.around(found)])
+    return AxisBox.around(reference).widen([AxisBox.around(aligned)])

@@ -33,7 +33,7 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
     errors = DataTable("Errors of all metrics", error_rows(study))
     sections = [
         ArticleSection("Error and cost", [*pictures("errors"), table, legend]),
-        ArticleSection("Bias of mean distances", list(pictures("bias"))),
+        *(ArticleSection("Bias of mean distances", [picture]) for picture in pictures("bias")),
         ArticleSection("Errors of all metrics in %", [errors], "all errors"),
     ]
     return Article(

@@ -184,8 +184,8 @@ def mean_scores(scores: Sequence[ViewScores]) -> ViewScores:
     """Return the means of at least one view's scores, without NaN; LPIPS and FLIP are None unless all have them."""
 
     def mean(values: Iterable[float]) -> float:
-        known = [value for value in values if not math.isnan(value)]
-        return sum(known) / len(known) if known else math.nan
+        finite = [value for value in values if not math.isnan(value)]
+        return sum(finite) / len(finite) if finite else math.nan
 
     lpips = [s.lpips for s in scores if s.lpips is not None]
     flip = [s.flip for s in scores if s.flip is not None]

@@ -104,11 +104,11 @@ def warnings(study: ViewStudy) -> list[str]:
 
 
 def _cells(
-    means: Sequence[ViewScores | None], known: Sequence[_Metric], scene: ScoredScene | None = None
+    means: Sequence[ViewScores | None], metrics: Sequence[_Metric], scene: ScoredScene | None = None
 ) -> Iterator[str]:
     error = None if scene is None else scene.standard_error()
     for number, mean in enumerate(means):
-        for metric in known:
+        for metric in metrics:
             value = None if mean is None else getattr(mean, metric.field)
             of_error = error is not None and number == 1 and metric.field == "psnr"
             yield _format(value, metric) + (f" ± {error:.2f}" if of_error else "")

@@ -44,13 +44,13 @@ class _Box(NamedTuple):
         """Return points (N, 3) of its top and its walls at a median spacing, with noise, and their normals."""
         density = np.log(2) / (np.pi * spacing**2)  # of random points with this median distance to the nearest one
         face = rng.integers(6, size=int(3 * self.side**2 * density))  # 0 and 1: the top; the walls have half of it
-        at = rng.uniform(-0.5, 0.5, (len(face), 3)) * [self.side, self.side, self.side / 2]
-        normals = np.zeros_like(at)
+        corners = rng.uniform(-0.5, 0.5, (len(face), 3)) * [self.side, self.side, self.side / 2]
+        normals = np.zeros_like(corners)
         is_top, axis, sign = face < 2, face % 2, np.where(face < 4, 1.0, -1.0)
         wall = np.flatnonzero(~is_top)
-        at[is_top, 2], normals[is_top, 2] = self.side / 4, 1.0
-        at[wall, axis[wall]], normals[wall, axis[wall]] = sign[wall] * self.side / 2, sign[wall]
-        points = self.place + [0.0, 0.0, self.side / 4] + at + rng.normal(0, noise, at.shape)
+        corners[is_top, 2], normals[is_top, 2] = self.side / 4, 1.0
+        corners[wall, axis[wall]], normals[wall, axis[wall]] = sign[wall] * self.side / 2, sign[wall]
+        points = self.place + [0.0, 0.0, self.side / 4] + corners + rng.normal(0, noise, corners.shape)
         return points, normals
 
 

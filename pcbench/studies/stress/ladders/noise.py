@@ -101,8 +101,8 @@ def _field(pair: StressPair, rng: np.random.Generator) -> FloatArray:
 
 def _directions(pair: StressPair) -> FloatArray:
     """Return the normals, and the vertical where they are unknown."""
-    known = np.linalg.norm(pair.normals, axis=1, keepdims=True) > 0.5
-    directions: FloatArray = np.where(known, pair.normals, [0.0, 0.0, 1.0])
+    has_normal = np.linalg.norm(pair.normals, axis=1, keepdims=True) > 0.5
+    directions: FloatArray = np.where(has_normal, pair.normals, [0.0, 0.0, 1.0])
     return directions
 
 

@@ -28,9 +28,9 @@ def _overlapping(pair: StressPair, level: float, rng: np.random.Generator) -> St
     angle = rng.uniform(0, 2 * np.pi)
     across = np.array([np.cos(angle), np.sin(angle), 0.0])
     width = 1 / (2 - level / 100)
-    at, edges = pair.reference @ across, pair.points @ across
-    low, high = np.quantile(at, [1 - width, width])
-    cut = replace(pair, reference=pair.reference[at <= high])
+    offsets, edges = pair.reference @ across, pair.points @ across
+    low, high = np.quantile(offsets, [1 - width, width])
+    cut = replace(pair, reference=pair.reference[offsets <= high])
     return cut.select(edges >= low)
 
 

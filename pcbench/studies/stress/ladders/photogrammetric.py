@@ -198,8 +198,8 @@ def _photogrammetric(pair: StressPair, level: float, rng: np.random.Generator, *
     if level == 0:
         return pair
     spacing, patches = median_spacing(Index(pair.points)), measured_patches(method)
-    known = np.linalg.norm(pair.normals, axis=1, keepdims=True) > 0.5
-    normals = np.where(known, pair.normals, [0.0, 0.0, 1.0])
+    has_normal = np.linalg.norm(pair.normals, axis=1, keepdims=True) > 0.5
+    normals = np.where(has_normal, pair.normals, [0.0, 0.0, 1.0])
     if pair.surface is not None:
         normals = outward_normals(pair.points, normals, MeshIndex(pair.surface), spacing)
     errors = resampled_errors(pair.points, normals, patches, spacing, rng, oriented=pair.surface is not None)

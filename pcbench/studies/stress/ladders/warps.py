@@ -35,9 +35,9 @@ def _warp_field(kind: str) -> Field:
 def _free_form(points: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Displace a grid of control points at random; Bernstein polynomials interpolate (Sederberg and Parry 1986)."""
     low, high = points.min(axis=0), points.max(axis=0)
-    at = (points - low) / np.where(high > low, high - low, 1.0)
+    shares = (points - low) / np.where(high > low, high - low, 1.0)
     control = rng.normal(size=(_GRID, _GRID, _GRID, 3))
-    weights = [_bernstein(at[:, axis]) for axis in range(3)]
+    weights = [_bernstein(shares[:, axis]) for axis in range(3)]
     displacement: FloatArray = np.einsum("ni,nj,nk,ijkc->nc", *weights, control, optimize=True)
     return displacement
 

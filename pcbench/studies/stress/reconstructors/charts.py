@@ -52,15 +52,15 @@ def _draw_row(
     places = [groups.get((UNPERTURBED, 0.0), [])] + [groups.get((ladder.name, level), []) for level in ladder.levels]
     for axis, quantity in zip(axes, _QUANTITIES, strict=True):
         values = [_median([quantity(cell) for cell in cells]) for cells in places]
-        known = [(at + shift, value) for at, value in enumerate(values) if value is not None]
+        measured = [(position + shift, value) for position, value in enumerate(values) if value is not None]
         line = {**style.line_style(), "linestyle": "none"} if ladder.is_list else style.line_style()
-        axis.plot([at for at, _ in known], [value for _, value in known], **line)
-        for at, (cells, value) in enumerate(zip(places, values, strict=True)):
+        axis.plot([position for position, _ in measured], [value for _, value in measured], **line)
+        for position, (cells, value) in enumerate(zip(places, values, strict=True)):
             if value is not None:
                 delivered = any(cell.fscore is not None for cell in cells)
                 hollow = any(cell.outcome == DEGRADED for cell in cells)
                 axis.plot(
-                    at + shift, value, color=style.color, linestyle="none", markersize=6 if delivered else 8,
+                    position + shift, value, color=style.color, linestyle="none", markersize=6 if delivered else 8,
                     marker=style.marker if delivered else "x", markerfacecolor="white" if hollow else style.color,
                     clip_on=False, zorder=3,
                 )  # fmt: skip
@@ -110,10 +110,10 @@ def _finish(axes: Sequence[Any], ladder: LadderInfo, study: StressStudy) -> None
 
 def _start_label(ladder: LadderInfo) -> str:
     """Return the label of the unperturbed run on the axis of a ladder."""
-    known = PHOTO_LADDERS.get(ladder.name)
-    return UNPERTURBED if ladder.is_list or known is None else f"{known.start:g}"
+    ladder_of_photos = PHOTO_LADDERS.get(ladder.name)
+    return UNPERTURBED if ladder.is_list or ladder_of_photos is None else f"{ladder_of_photos.start:g}"
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
+    measured = [value for value in values if value is not None]
+    return median(measured) if measured else None

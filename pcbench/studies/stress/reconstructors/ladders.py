@@ -144,7 +144,7 @@ def _blurred(photographs: Photographs, level: float, _: np.random.Generator) -> 
     def blur(image: Image) -> Image:
         light = linear_light(image)
         for axis in (0, 1):
-            pad = [(reach, reach) if at == axis else (0, 0) for at in range(3)]
+            pad = [(reach, reach) if dimension == axis else (0, 0) for dimension in range(3)]
             windows = np.lib.stride_tricks.sliding_window_view(np.pad(light, pad, mode="edge"), len(kernel), axis)
             light = windows @ kernel
         return srgb(light)
