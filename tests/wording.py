@@ -20,7 +20,7 @@ from pcbench.errors import InputError, one_line
 
 GOLDEN = TESTS / "wording.txt"
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(,\d{3})*(\.\d+)?(e[-+]?\d+)?(?![\w])")
-_QUOTED = re.compile(r"(?<!\w)'[^']*'(?!\w)")  # not the apostrophe of a possessive
+_QUOTED = re.compile(r"(?<![^\Wb])'[^']*'(?!\w)")  # not the apostrophe of a possessive; also bytes as b'...'
 _HEADING = "== "
 _REFUSES = " refuses"
 

@@ -43,7 +43,7 @@ from pcbench.measure.results import (
 from pcbench.measure.settings import Settings
 from pcbench.measure.summaries import DirectionSummary
 from pcbench.measure.tiled import windows
-from pcbench.measure.tiled.alignment import NearFit, SampleResults, known_pose, register_on_disk
+from pcbench.measure.tiled.alignment import NearFit, SampleResults, register_on_disk
 from pcbench.measure.tiled.assessment import (
     AlignedCloud,
     Floors,
@@ -116,7 +116,7 @@ def _store(steps: Steps, clouds: CloudsOnDisk) -> dict[str, StoredCloud]:
     Raises:
         PcbenchError: a file changed while it was read.
     """
-    pose = known_pose(steps.settings)
+    pose = steps.settings.known_pose
     named = {REFERENCE: clouds.reference}
     named |= {f"candidate-{number}": cloud for number, cloud in enumerate(clouds.candidates.values(), 1)}
     boxes = rough_boxes(named, steps.runner, steps.key)

@@ -21,7 +21,6 @@ from pcbench.io.contents import FileState, file_states
 from pcbench.io.pieces import CloudOnDisk, read_piece
 from pcbench.io.source import Source
 from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.alignment import known_pose
 from pcbench.measure.tiled.nearby import MAX_NEAR_POINTS
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.windows import MAX_SAMPLE
@@ -109,7 +108,7 @@ class CloudsOnDisk:
             for source, cloud in zip(self.sources, self.clouds, strict=True)
         ]
         sizes = tiling.chosen_tile_points, tiling.chosen_piece_points, tiling.max_distance
-        pose = known_pose(settings)
+        pose = settings.known_pose
         from_files = None if pose is None else pose.matrix.tolist(), fingerprint(_plain_region(settings.crop))
         parts = [package_version(), list(self.candidates), clouds, record(settings), sizes, from_files]
         return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()

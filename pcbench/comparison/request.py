@@ -119,13 +119,13 @@ class Request:
         Raises:
             InputError: a file cannot be opened, a setting or its file is invalid, or LAS filters fit no input.
         """
+        named = _by_name(candidates)
         setting_files = tuple(InputFile(str(path.absolute()), digest(path)) for path in settings.files)
         settings = settings.with_files_read()
-        opened, named = _open(reference, settings), _by_name(candidates)
         if not named:
             raise InputError("expected at least one candidate, got none")
         request = cls(
-            opened,
+            _open(reference, settings),
             {name: _open(given, settings, vertices=settings.vertices) for name, given in named.items()},
             settings,
             figures or Figures(),

@@ -28,7 +28,8 @@ from pcbench.options import (
     parse_share,
     setting,
 )
-from pcbench.registration import Method, as_method, as_similarity
+from pcbench.registration import ControlPoints, GivenPose, Method, as_method, as_similarity
+from pcbench.registration.control_points import fit_pairs
 from pcbench.registration.given import method_file
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
@@ -194,6 +195,16 @@ class Settings:
         method = as_method(self.register).file if named is None else method_file(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
         return [*filter(None, (method, region_file(self.crop), cores))]
+
+    @property
+    def known_pose(self) -> Similarity | None:
+        """Pose candidate -> reference that the settings give or start from; None: the identity."""
+        method = as_method(self.register)
+        if isinstance(method, GivenPose):
+            return method.T_reference_candidate
+        if isinstance(method, ControlPoints):
+            return fit_pairs(method)[0]
+        return None if self.initial is None else as_similarity(self.initial)
 
     @property
     def measured_presets(self) -> tuple[str, ...]:

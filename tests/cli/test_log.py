@@ -52,7 +52,7 @@ def test_errors_are_logged_with_their_tracebacks(files, run):
     assert level == "ERROR"
     check_text(text.splitlines()[0])
     assert "Traceback" in text
-    assert "read_cloud" in text
+    assert "Source.open" in text
 
 
 def test_warnings_of_quiet_runs_are_logged(files, run):
@@ -71,7 +71,7 @@ def test_errors_that_end_in_a_result_are_logged(files, run, monkeypatch):
         except InputError as error:
             raise InputError(record_error(error)) from None
 
-    monkeypatch.setattr("pcbench.io.read_cloud", fail)
+    monkeypatch.setattr("pcbench.io.source.Source.read_cloud", fail)
     run("--log", "run.log", "info", "a.ply")
     debug_texts = [text for level, text in records("run.log") if level == "DEBUG"]
     assert len(debug_texts) == 1

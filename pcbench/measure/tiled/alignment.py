@@ -23,16 +23,12 @@ from pcbench.measure.tiled.steps import Steps
 from pcbench.measure.tiled.stored import StoredCloud
 from pcbench.measure.tiled.sums import GroupSums
 from pcbench.registration import (
-    ControlPoints,
     FeatureSettings,
-    GivenPose,
     IcpSettings,
     Registration,
     as_method,
-    as_similarity,
     register,
 )
-from pcbench.registration.control_points import fit_pairs
 
 _MAX_SHARE_DIFFERENCE = 0.1  # of the points on the reference, between the sample and all points
 _MAX_RMS_RATIO = 1.5  # of the distances to planes of these points
@@ -95,23 +91,13 @@ class SampleResults:
     reference: ReferenceSummary
 
 
-def known_pose(settings: Settings) -> Similarity | None:
-    """Return the pose candidate -> reference that the settings give or start from; None: the identity."""
-    method = as_method(settings.register)
-    if isinstance(method, GivenPose):
-        return method.T_reference_candidate
-    if isinstance(method, ControlPoints):
-        return fit_pairs(method)[0]
-    return None if settings.initial is None else as_similarity(settings.initial)
-
-
 def find_pose(reference: Cloud, candidate: Cloud, name: str, settings: Settings) -> Similarity:
     """Return the pose of a candidate from evenly thinned clouds, to be refined at full density.
 
     Raises:
         RegistrationError: the clouds do not overlap.
     """
-    given = known_pose(settings)
+    given = settings.known_pose
     if given is not None and settings.initial is None:
         return given
     try:
