@@ -117,7 +117,14 @@ def executed_methods():
 
 def row(method, wall_s, fscore, status="ok", seed=0, **entries):
     """Row of a bench with the entries that tables and fronts use; others are None or empty."""
-    values = {"id": "", "settings": {}, "reconstruction_notes": (), "beside_others": False, "accuracy_to": ""}
+    values = {
+        "id": "",
+        "settings": {},
+        "reconstruction_notes": (),
+        "beside_others": False,
+        "accuracy_to": "",
+        "comparison": {},
+    }
     values |= {"chamfer": 1 - (fscore or 0), "thresholds": (), "notes": (), "message": "", "registration": "none"}
     values |= {"status": status, "wall_s": wall_s, "fscore": fscore, **entries}
     record, score = (kind(**{item.name: values.get(item.name) for item in fields(kind)}) for kind in (RunRecord, Score))

@@ -35,8 +35,9 @@ class Configuration:
         return len(self.measured_rows) == len(self.rows)
 
     def values(self, column: str) -> list[float]:
-        """Values of a column in the measured rows that have one."""
-        return [value for row in self.measured_rows if (value := row.value(column)) is not None]
+        """Finite values of a column in the measured rows that have one."""
+        values = (row.value(column) for row in self.measured_rows)
+        return [value for value in values if value is not None and np.isfinite(value)]
 
     def median(self, column: str) -> float | None:
         """Return the median of a column over the measured rows, or None."""
