@@ -1,4 +1,4 @@
-"""Whether a comparison is computed in memory or in tiles, and what identifies it in a workspace."""
+"""Plans of comparisons: the choice between memory and tiles, and the key that identifies a comparison."""
 
 from __future__ import annotations
 

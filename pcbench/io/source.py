@@ -100,7 +100,7 @@ class Source:
 
     @property
     def has_classes(self) -> bool:
-        """Whether all files have classes and returns, by which points can be filtered."""
+        """Return whether all files have classes and returns, by which points can be filtered."""
         return all(
             file.name in FILTERABLE_EXTENSIONS or file.suffix.lower() in FILTERABLE_EXTENSIONS
             for file in self.point_files
@@ -108,17 +108,17 @@ class Source:
 
     @property
     def kind(self) -> Literal["cloud", "mesh"]:
-        """Whether `read` returns a cloud or a mesh."""
+        """Kind of shape that `read` returns."""
         return "mesh" if self.holds_mesh and not self.vertices else "cloud"
 
     @property
     def holds_mesh(self) -> bool:
-        """Whether the file is a mesh by its extension, or by its faces if it is PLY or OBJ."""
+        """Return whether the file is a mesh by its extension, or by its faces if it is PLY or OBJ."""
         return self._look.holds_mesh
 
     @property
     def is_mesh_only(self) -> bool:
-        """Whether the file's format stores meshes but not clouds."""
+        """Return whether the file's format stores meshes but not clouds."""
         return self.tiles is None and _stores_only_meshes(self.file)
 
     @property

@@ -120,7 +120,7 @@ class StressCell:
 
     @property
     def covers(self) -> bool | None:
-        """Whether its interval contains the truth; None without an interval that has to."""
+        """Return whether its interval contains the truth; None without an interval that has to."""
         return None
 
 

@@ -87,7 +87,7 @@ class VerdictCell(StressCell):
 
     @property
     def covers(self) -> bool | None:
-        """Whether the interval contains the true RMS; None without an interval, or if nothing is deformed."""
+        """Return whether the interval contains the true RMS; None without an interval, or if nothing is deformed."""
         if self.interval is None or not self.true_rms > 0:
             return None
         return self.interval[0] <= self.true_rms <= self.interval[1]
