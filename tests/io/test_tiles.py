@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import time
 
 import ept_bytes
@@ -314,6 +315,23 @@ def test_damaged_node_of_ept_is_named(tmp_path):
     (folder / "ept-data/1-0-0-0.laz").write_bytes(las(6, 7, compress="chunks"))
     with check_error():
         read_cloud(folder)
+
+
+def test_points_outside_the_bounds_of_a_node_are_a_warning_with_its_name(tmp_path):
+    import_or_skip("lazrs")
+    folder = ept_bytes.write(tmp_path / "ept")
+    node = folder / "ept-data/1-0-0-0.laz"
+    points = read_cloud(node).points
+    (x_low, y_low, z_low), (x_high, y_high, z_high) = points.min(axis=0), points.max(axis=0)
+    for beyond in (0.0, 3.0):
+        data, warnings = bytearray(node.read_bytes()), []
+        struct.pack_into("<6d", data, 179, x_high - beyond, x_low, y_high, y_low, z_high, z_low)
+        node.write_bytes(data)
+        read_cloud(folder, on_warning=warnings.append)
+        assert [line.partition("ept.json: ")[2] for line in warnings] == [
+            f"1-0-0-0.laz: points lie up to {beyond:g} units outside the header's bounds in x: the header was not"
+            " updated, or points are damaged"
+        ] * (beyond > 0)
 
 
 def test_damaged_bytes_of_a_node_are_reported_with_its_name(tmp_path):
