@@ -20,6 +20,11 @@ CROP_HELP = (
     f"Region to measure: none, {SHAPES_HELP}, reference (its bounding box) or quantile:0.99 (the sphere around its"
     " centroid with this share of its points)."
 )
+CLASSES_HELP = "Use only these classes of LAS files, such as 2,6."
+RETURNS_HELP = "Use only these returns of LAS files: first, last or numbers such as 1,2."
+MIN_OPACITY_HELP = "Use only Gaussian splats with at least this opacity."
+MAX_AXIS_HELP = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."
+VERTICES_HELP = "Measure a candidate mesh at its vertices rather than at points sampled on its faces."
 
 _Number = TypeVar("_Number", int, float)
 _Settings = TypeVar("_Settings")

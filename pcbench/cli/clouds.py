@@ -181,7 +181,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.command(short_help="Write a cloud in another format.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
-@las_options("a LAS file")
+@las_options
 @splat_options
 @color_depth_option
 @click.option("--crs", metavar="CRS", help="Project x and y to this coordinate system, such as EPSG:32617.")

@@ -10,7 +10,17 @@ from typing import Any, TypeVar
 import click
 
 from pcbench.errors import InputError
-from pcbench.options import CROP_HELP, REGISTER_HELP, SHAPES_HELP, parse_numbers
+from pcbench.options import (
+    CLASSES_HELP,
+    CROP_HELP,
+    MAX_AXIS_HELP,
+    MIN_OPACITY_HELP,
+    REGISTER_HELP,
+    RETURNS_HELP,
+    SHAPES_HELP,
+    VERTICES_HELP,
+    parse_numbers,
+)
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -50,17 +60,10 @@ def seed_option(help: str = "Random seed.") -> Callable[[_Command], _Command]:
     return click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help=help)
 
 
-def las_options(files: str) -> Callable[[_Command], _Command]:
-    """Return the options that filter LAS files; `files` names these in the help text."""
-
-    def add(command: _Command) -> _Command:
-        returns = f"Use only these returns of {files}: first, last or numbers such as 1,2."
-        command = click.option("--returns", metavar="WHICH", help=returns)(command)
-        return click.option("--classes", metavar="N,N,...", help=f"Use only these classes of {files}, such as 2,6.")(
-            command
-        )
-
-    return add
+def las_options(command: _Command) -> _Command:
+    """Add the options that filter LAS files."""
+    command = click.option("--returns", metavar="WHICH", help=RETURNS_HELP)(command)
+    return click.option("--classes", metavar="N,N,...", help=CLASSES_HELP)(command)
 
 
 color_depth_option = click.option(
@@ -73,12 +76,9 @@ color_depth_option = click.option(
 
 def splat_options(command: _Command) -> _Command:
     """Add the options that filter Gaussian splats."""
-    axis = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."
-    command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=axis)(command)
+    command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=MAX_AXIS_HELP)(command)
     opacity = FiniteRange(min=0, max=1)
-    return click.option(
-        "--min-opacity", type=opacity, metavar="OPACITY", help="Use only Gaussian splats with at least this opacity."
-    )(command)
+    return click.option("--min-opacity", type=opacity, metavar="OPACITY", help=MIN_OPACITY_HELP)(command)
 
 
 def cameras_option(
@@ -95,11 +95,7 @@ def scene_options(command: _Command) -> _Command:
     return click.option("--scene", type=FILE, metavar="FOLDER", help=scene)(cameras_option(cameras)(command))
 
 
-vertices_option = click.option(
-    "--vertices",
-    is_flag=True,
-    help="Measure a candidate mesh at its vertices rather than at points sampled on its faces.",
-)
+vertices_option = click.option("--vertices", is_flag=True, help=VERTICES_HELP)
 
 
 def scene_folder(context: click.Context, scene: Path | None, cameras: str) -> Any:

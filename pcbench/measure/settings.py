@@ -19,8 +19,13 @@ from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.options import (
+    CLASSES_HELP,
     CROP_HELP,
+    MAX_AXIS_HELP,
+    MIN_OPACITY_HELP,
     REGISTER_HELP,
+    RETURNS_HELP,
+    VERTICES_HELP,
     Bounds,
     parse_integers,
     parse_lengths,
@@ -96,27 +101,25 @@ class Settings:
         shows_default=True,
     )
     normal_neighbors: int = 20
-    classes: tuple[int, ...] | None = setting(
-        None, "--classes", "Use only these classes of LAS files, such as 2,6.", metavar="N,N,...", parse=parse_integers
-    )
+    classes: tuple[int, ...] | None = setting(None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers)
     returns: str | tuple[int, ...] | None = setting(
         None,
         "--returns",
-        "Use only these returns of LAS files: first, last or numbers such as 1,2.",
+        RETURNS_HELP,
         metavar="WHICH",
         parse=parse_returns,
     )
     min_opacity: float | None = setting(
         None,
         "--min-opacity",
-        "Use only Gaussian splats with at least this opacity.",
+        MIN_OPACITY_HELP,
         metavar="OPACITY",
         bounds=Bounds(float, 0, 1),
     )
     max_axis: float | None = setting(
         None,
         "--max-axis",
-        "Use only Gaussian splats whose largest axis (standard deviation) is at most this length.",
+        MAX_AXIS_HELP,
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
     )
@@ -138,7 +141,7 @@ class Settings:
     vertices: bool = setting(
         False,
         "--vertices",
-        "Measure a candidate mesh at its vertices rather than at points sampled on its faces.",
+        VERTICES_HELP,
     )
 
     def __post_init__(self) -> None:
