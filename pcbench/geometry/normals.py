@@ -16,6 +16,7 @@ from pcbench.geometry.voxels import voxel_downsample
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
+_MAX_SWEPT_POINTS = 10_000  # of a cloud whose normals are all computed at once: many small requests take longer
 
 
 class Normals(NamedTuple):
@@ -122,7 +123,7 @@ class Surface:
         The result (N, 3) is not a copy: unit normals where computed, NaN elsewhere.
         """
         if not self._is_complete:
-            if rows is None or len(rows) == len(self):
+            if rows is None or len(rows) == len(self) or 0 < len(rows) <= len(self) <= _MAX_SWEPT_POINTS:
                 missing = np.flatnonzero(~self._is_known)
             else:
                 is_missing = np.zeros(len(self), dtype=bool)

@@ -15,6 +15,7 @@ from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.regular_files import read_text
 
 _MAX_REWEIGHTINGS = 30
+_MAX_ROTATION_ERROR = 1e-6  # of products of rows: accepts rotation matrices printed with seven digits
 
 
 class Motion(NamedTuple):
@@ -106,16 +107,17 @@ class Similarity:
             raise InputError(
                 f"expected a (3, 3) rotation and a (3,) translation, got {rotation.shape}, {translation.shape}"
             )
-        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        # ICP creates thousands of transforms: for so few numbers Python's operations are faster than numpy's.
+        entries, shifts = rotation.ravel().tolist(), translation.tolist()
+        if not all(map(math.isfinite, entries + shifts)):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
-        if (largest := np.abs(translation).max()) > MAX_COORDINATE:
+        if (largest := max(map(abs, shifts))) > MAX_COORDINATE:
             raise InputError(f"expected a translation up to {MAX_COORDINATE:g}, got {largest:g}")
-        if not (np.isfinite(self.scale) and self.scale > 0):
+        if not (math.isfinite(self.scale) and self.scale > 0):
             raise InputError(f"expected a positive scale, got {self.scale}")
         if not 1 / MAX_COORDINATE <= self.scale <= MAX_COORDINATE:
             raise InputError(f"expected a scale of {1 / MAX_COORDINATE:g} to {MAX_COORDINATE:g}, got {self.scale:g}")
-        # The tolerance accepts rotation matrices printed with seven digits.
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+        if not _is_rotation(*entries):
             raise InputError("expected a rotation matrix: orthonormal rows and determinant +1")
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
@@ -202,6 +204,15 @@ class Similarity:
         return Motion(self.apply(position[None])[0] - position, float(np.degrees(angle)), axis, self.scale)
 
 
+def _is_rotation(*entries: float) -> bool:
+    """Return whether the nine entries of a matrix, row by row, are those of a rotation, up to rounding."""
+    a, b, c, d, e, f, g, h, i = entries
+    lengths = (a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1)
+    angles = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return max(map(abs, lengths + angles)) <= _MAX_ROTATION_ERROR and determinant > 0
+
+
 def _angle_and_axis(rotation: FloatArray) -> tuple[float, FloatArray | None]:
     """Return the rotation angle in radians, from 0 to pi, and the unit axis (3,), or None for no rotation.
 
@@ -241,7 +252,7 @@ def _multiply_rows(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
 
 def cross_matrix(vector: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) of the cross product of a vector (3,) with others."""
-    x, y, z = vector
+    x, y, z = vector.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
