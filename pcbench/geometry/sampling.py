@@ -124,10 +124,28 @@ def sampling_of(index: Index, nearest_other: Matches | None = None, profile: Flo
     """
     if len(index) < 2:
         return Sampling(0.0)
-    if profile is None:
-        places = index.every(profile_step(len(index)))
-        profile = index.query(places, k=min(1 + PROFILE_NEIGHBORS, len(index))).distances[:, 1:]
-    return sampling_of_profile(_median_nearest(index, nearest_other), profile, len(index))
+    nearest = _median_nearest(index, nearest_other)
+    if profile is not None:
+        return sampling_of_profile(nearest, profile, len(index))
+    # Farther neighbours have no effect unless points have copies, and small clouds have fewer neighbours within them.
+    few = max(_LINE_RANKS[1], int(_MAX_RANK_SHARE * len(index)))
+    sampling = sampling_of_profile(nearest, _profile(index, min(few, PROFILE_NEIGHBORS)), len(index))
+    if sampling.copies == 1 or few >= PROFILE_NEIGHBORS:
+        return sampling
+    return sampling_of_profile(nearest, _profile(index, PROFILE_NEIGHBORS), len(index))
+
+
+def spacing_of_all(index: Index, sampling: Sampling, nearest_other: Matches) -> float:
+    """Return the `median_spacing` from the nearest other points of all points, for a cloud whose sampling is known."""
+    if len(index) < 2 * _SPACING_SAMPLE or sampling.has_lines or sampling.copy_radius > 0:
+        return sampling.spacing
+    return _median_nearest(index, nearest_other) or sampling.spacing
+
+
+def _profile(index: Index, neighbors: int) -> FloatArray:
+    """Return the distances (M, K) of every `profile_step`-th point to its nearest other points, at most `neighbors`."""
+    places = index.every(profile_step(len(index)))
+    return index.query(places, k=min(1 + neighbors, len(index))).distances[:, 1:]
 
 
 def profile_step(count: int) -> int:

@@ -20,7 +20,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
-from pcbench.geometry.sampling import median_spacing
+from pcbench.geometry.sampling import spacing_of_all
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
@@ -86,7 +86,9 @@ class Reference:
             inside=inside,
             rows=rows,
             nearest_other=nearest_other,
-            spacing=median_spacing(surface.index, nearest_other),
+            spacing=surface.spacing
+            if nearest_other is None
+            else spacing_of_all(surface.index, surface.sampling, nearest_other),
             cells=intervals.partition(points),
             voxel=robust_extent(points if rows is None else points[rows]) / VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
