@@ -21,7 +21,7 @@ from pcbench.deformation.parts import Wave, WaveLimit
 from pcbench.deformation.sides import extent
 from pcbench.deformation.size import MAX_P_SIGNIFICANT
 from pcbench.deformation.verdict import in_standard_errors
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 
 _STEP = (
     0.5  # cycles along the extent between two wave numbers: waves between them keep at least two thirds of the power
@@ -57,11 +57,11 @@ def find_waves(pairs: Pairs) -> WaveSearch:
     if len(numbers) <= 4 * _NEIGHBORS:
         return WaveSearch(None, None)
     axes = [axis for axis in range(3) if weights @ np.square(normals[:, axis]) > _MIN_INFORMATION * weights.sum()]
-    taper = _taper(across)
+    taper, waves = _taper(across), _Waves.of(across, numbers)
     best, limit = None, None
     for axis in axes:
         loads = weights * normals[:, axis] * taper
-        powers = np.square(np.abs(_spectrum(across, loads * remainders, numbers)))
+        powers = np.square(np.abs(waves.spectrum(loads * remainders)))
         expected = _power_nearby(powers) / math.log(2)
         inner = slice(_NEIGHBORS, len(numbers) - _NEIGHBORS)
         ratios = powers[inner] / np.maximum(expected[inner], 1e-300)
@@ -118,14 +118,28 @@ def _wave_numbers(most: float) -> FloatArray:
     return ascending
 
 
-def _spectrum(across: FloatArray, values: FloatArray, numbers: FloatArray) -> NDArray[np.complex128]:
-    """Return the sums (M,), complex, of values (N,) times waves of the numbers (M, 2) at positions (N, 2)."""
-    first, of_first = np.unique(numbers[:, 0], return_inverse=True)
-    second, of_second = np.unique(numbers[:, 1], return_inverse=True)
-    weighted = np.exp(-2j * np.pi * np.outer(first, across[:, 0])) * values
-    sums: NDArray[np.complex128] = weighted @ np.exp(-2j * np.pi * np.outer(across[:, 1], second))
-    spectrum: NDArray[np.complex128] = sums[of_first, of_second]
-    return spectrum
+class _Waves(NamedTuple):
+    """Complex waves at N positions: products of F factors along the first axis and S along the second."""
+
+    first: NDArray[np.complex128]  # (F, N)
+    second: NDArray[np.complex128]  # (N, S)
+    rows: tuple[IntArray, IntArray]  # (M,) factors of each wave
+
+    @classmethod
+    def of(cls, across: FloatArray, numbers: FloatArray) -> _Waves:
+        """Return waves of the numbers (M, 2) at positions (N, 2)."""
+        first, of_first = np.unique(numbers[:, 0], return_inverse=True)
+        second, of_second = np.unique(numbers[:, 1], return_inverse=True)
+        return cls(
+            np.exp(-2j * np.pi * np.outer(first, across[:, 0])),
+            np.exp(-2j * np.pi * np.outer(across[:, 1], second)),
+            (of_first, of_second),
+        )
+
+    def spectrum(self, values: FloatArray) -> NDArray[np.complex128]:
+        """Return the sums (M,), complex, of values (N,) times each wave."""
+        spectrum: NDArray[np.complex128] = ((self.first * values) @ self.second)[self.rows]
+        return spectrum
 
 
 def _taper(across: FloatArray) -> FloatArray:
@@ -147,7 +161,7 @@ def _refined(across: FloatArray, values: FloatArray, number: FloatArray) -> Floa
     """Return the wave number near a given one at which the power is largest, to an eighth of a step."""
     for step in (_STEP / 2, _STEP / 4, _STEP / 8):
         near = number + step * np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
-        number = near[int(np.argmax(np.abs(_spectrum(across, values, near))))]
+        number = near[int(np.argmax(np.abs(_Waves.of(across, near).spectrum(values))))]
     return number
 
 
