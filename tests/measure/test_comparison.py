@@ -25,6 +25,8 @@ from pcbench.report.notes import warnings
 from pcbench.report.plot import Drawn
 from pcbench.report.table import rows
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 NO_REGISTRATION = Settings(register="none")
 
 

@@ -14,13 +14,15 @@ import pcbench
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
 from pcbench.registration import ControlPoints
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 PARAMETERS = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
 
 
 @pytest.fixture(scope="module")
 def pair():
-    reference, _ = shapes.terrain(6000, seed=1)
-    candidate, _ = shapes.terrain(4000, seed=2)
+    reference, _ = shapes.terrain(3000, seed=1)
+    candidate, _ = shapes.terrain(2000, seed=2)
     cores, _ = shapes.terrain(40, seed=3)
     cores[-1] += [0, 0, 1000]  # far away, with empty cylinders
     return reference, candidate + [0, 0, 0.15], cores
@@ -91,7 +93,7 @@ def test_unset_parameters_have_defaults(pair):
 def flat_site(seed, lowered=0.0):
     """Flat ground of 20 m x 20 m with noise of 5 mm, of which the half with negative x is lowered."""
     rng = np.random.default_rng(seed)
-    points = np.column_stack([rng.uniform(-10, 10, (20_000, 2)), rng.normal(0, 0.005, 20_000)])
+    points = np.column_stack([rng.uniform(-10, 10, (5_000, 2)), rng.normal(0, 0.005, 5_000)])
     points[points[:, 0] < 0, 2] -= lowered
     return points
 
@@ -138,7 +140,7 @@ def test_control_points_determine_the_registration_error():
 def hills(seed, lowered=0.0):
     """Hills of 60 m x 60 m with noise of 2 cm, of which a corner of a ninth of the area is lowered."""
     rng = np.random.default_rng(seed)
-    x, y = rng.uniform(-30, 30, (2, 20_000))
+    x, y = rng.uniform(-30, 30, (2, 10_000))
     z = 1.5 * np.sin(x / 3) + np.cos(y / 2.5) + rng.normal(0, 0.02, len(x))
     z[(x > 10) & (y > 10)] -= lowered
     return np.column_stack([x, y, z])

@@ -161,6 +161,7 @@ def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypat
     assert [file.read_bytes() for file in overviews[0]] == [file.read_bytes() for file in overviews[1]]
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_a_maximum_distance_caps_larger_distances_and_counts_them(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair, limit = pair_of(tmp_path / "pair", thresholds=(0.05, 0.12)), 0.12
@@ -193,7 +194,8 @@ def part_lifted(rng):
     return points, lifted
 
 
-@pytest.mark.parametrize("tile_points", [100, 2000])
+@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.parametrize("tile_points", [100])
 @pytest.mark.parametrize(("crop", "share"), [("none", 0.5), ("box:6,0,-5,10,10,9", 1.0)])
 def test_tiles_wholly_beyond_the_maximum_distance(tmp_path, monkeypatch, tile_points, crop, share):
     in_this_process(monkeypatch)
@@ -212,6 +214,7 @@ def test_tiles_wholly_beyond_the_maximum_distance(tmp_path, monkeypatch, tile_po
     assert [score.fscore.value for score in metrics.fscores] == [s.fscore.value for s in exact.metrics.fscores]
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_one_direction_without_distances_beyond_the_maximum_keeps_its_d2(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     points = surface(np.random.default_rng(0), 1500)
@@ -231,6 +234,7 @@ def replace_censored(comparison):
     return replace(comparison, candidates=tuple(replace(candidate, censored={}) for candidate in comparison))
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_a_changed_polygon_or_matrix_is_not_mistaken_for_the_old_one(tmp_path, monkeypatch):
     """The same command in the same workspace, after a file that the settings name was edited."""
     in_this_process(monkeypatch)
