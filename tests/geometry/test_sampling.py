@@ -11,7 +11,15 @@ from wording import check_text
 
 from pcbench import read_cloud
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.sampling import Sampling, line_gaps, median_spacing, nearest_elsewhere, sampling_of
+from pcbench.geometry.sampling import (
+    PROFILE_NEIGHBORS,
+    Sampling,
+    line_gaps,
+    median_spacing,
+    nearest_elsewhere,
+    sampling_of,
+    spacing_of_all,
+)
 
 
 @cache
@@ -101,3 +109,26 @@ def test_measured_clouds_keep_their_spacing_when_doubled(name):
     # Half of the points of webots1 occur twice already, and have three copies then: the spacing changes by 11 %.
     moved = points + np.random.default_rng(0).normal(0, 1e-3 * single, points.shape)
     assert median_spacing(Index(np.concatenate([points, moved]))) == pytest.approx(single, rel=0.15)
+
+
+def clouds_with_copies_and_lines():
+    rng = np.random.default_rng(0)
+    strewn = rng.random((1500, 3)) * [40, 40, 0.01]
+    lines = np.column_stack([np.sort(rng.random(1500)) * 40, np.repeat(np.arange(15), 100), np.zeros(1500)])
+    return strewn, np.repeat(strewn[:300], 5, axis=0), np.concatenate([strewn, strewn + 1e-3]), lines, strewn[:30]
+
+
+def test_farther_neighbors_than_those_that_are_searched_have_no_effect():
+    for points in clouds_with_copies_and_lines():
+        index = Index(points)
+        every = index.query(points, min(1 + PROFILE_NEIGHBORS, len(points))).distances[:, 1:]
+        assert sampling_of(index) == sampling_of(index, profile=every)
+
+
+def test_the_spacing_of_all_points_follows_from_the_sampling():
+    rng = np.random.default_rng(0)
+    plane = rng.random((41_000, 3)) * [1, 1, 0]
+    for points in (*clouds_with_copies_and_lines(), plane, np.repeat(plane[:5_000], 9, axis=0)):
+        index = Index(points)
+        nearest_other = index.nearest_other()
+        assert spacing_of_all(index, sampling_of(index), nearest_other) == median_spacing(index, nearest_other)
