@@ -6,6 +6,7 @@ import pytest
 import shapes
 from wording import check_error
 
+from pcbench.geometry import normals as normals_module
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
 
@@ -63,6 +64,21 @@ def test_surface_uses_given_normals_and_estimates_missing_ones():
     np.testing.assert_allclose(normals, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-12)
 
 
+@pytest.fixture
+def as_in_large_clouds(monkeypatch):
+    """Let small clouds compute only the normals that are requested."""
+    monkeypatch.setattr(normals_module, "_MAX_SWEPT_POINTS", 0)
+
+
+def test_small_clouds_compute_all_normals_at_the_first_request():
+    surface = Surface(Index(shapes.plane_grid(10)))
+    surface.compute_normals(np.empty(0, np.int64))
+    assert not surface.is_complete
+    surface.compute_normals(np.array([3]))
+    assert surface.is_complete
+
+
+@pytest.mark.usefixtures("as_in_large_clouds")
 @pytest.mark.parametrize("has_normals", [False, True])
 def test_uncomputed_rows_are_nan(has_normals):
     points = shapes.plane_grid(10)
@@ -74,6 +90,7 @@ def test_uncomputed_rows_are_nan(has_normals):
     np.testing.assert_allclose(surface.compute_normals(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
 
 
+@pytest.mark.usefixtures("as_in_large_clouds")
 @pytest.mark.parametrize("count", [1, 40, 150, 199])
 def test_selected_rows_have_the_normals_of_all_rows(count):
     """The planes of few rows, of many, and of all are computed in different ways, with the same bits."""
