@@ -17,14 +17,14 @@ def check_corpus(corpus, count, seed, folder):
 @pytest.mark.parametrize(
     ("corpus", "count"),
     [
-        ("ply", 300),
-        ("las", 200),
-        pytest.param("laz", 250, marks=pytest.mark.long),
-        ("pcd", 200),
-        ("txt", 200),
-        ("meshes", 200),
-        pytest.param("e57", 25, marks=pytest.mark.long),
-        ("mvs", 200),
+        ("ply", 100),
+        ("las", 80),
+        pytest.param("laz", 100, marks=pytest.mark.long),
+        ("pcd", 80),
+        ("txt", 80),
+        ("meshes", 80),
+        pytest.param("e57", 15, marks=pytest.mark.long),
+        ("mvs", 80),
     ],
 )
 def test_damaged_files(tmp_path, corpus, count):

@@ -183,7 +183,7 @@ def test_corpus_is_equal_in_all_formats(tmp_path):
 DOUBLES = st.floats(-1e100, 1e100)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
 def test_float64_round_trip_is_exact(tmp_path_factory, points):
     path = tmp_path_factory.mktemp("exact") / "a.ply"

@@ -364,7 +364,7 @@ def test_damaged_files(tmp_path, name):
 # ---- writer ----
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(points=arrays(np.float64, st.tuples(st.integers(1, 9), st.just(3)), elements=DOUBLES))
 @pytest.mark.parametrize("extension", ["xyz", "csv"])
 def test_float64_round_trip_is_exact(tmp_path_factory, extension, points):

@@ -30,7 +30,7 @@ def computed(folder, points, most, k, given_normals=None):
     return found, sampling_of_profile(nearest, np.concatenate(profile), len(points))
 
 
-@settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     seed=st.integers(0, 2**32),
     count=st.integers(3, 500),

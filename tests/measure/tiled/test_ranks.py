@@ -52,7 +52,7 @@ def test_values_of_numpy(name, memory, tmp_path, request):
     assert ranks.median_distance(files, 0.5) == order_statistics.median_distance(values, 0.5)
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=50), st.booleans())
 def test_all_ranks_of_any_values(tmp_path, values, resolved):
     with pytest.MonkeyPatch.context() as patch:

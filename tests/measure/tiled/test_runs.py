@@ -18,7 +18,7 @@ from pcbench.measure.tiled.tiles import TiledCloud, make_tile
 WHOLE = (0, 1 << CODE_BITS)
 
 
-@settings(max_examples=15, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     seed=st.integers(0, 2**32),
     count=st.integers(2, 1500),

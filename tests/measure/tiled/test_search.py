@@ -23,7 +23,7 @@ def check(queries, points, tiles, k=1, max_distance=np.inf):
     assert np.isnan(at[~near]).all()
 
 
-@settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     seed=st.integers(0, 2**32),
     count=st.integers(1, 400),
