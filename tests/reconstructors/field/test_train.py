@@ -16,7 +16,7 @@ from reconstructors.field.train import FieldTraining, Pixels  # noqa: E402
 from reconstructors.splat.resume import run_with_checkpoints, save_checkpoint  # noqa: E402
 
 
-@pytest.mark.parametrize("stop", [7, 12, 13, 29])
+@pytest.mark.parametrize("stop", [7, 12, 13])
 def test_a_resumed_training_gives_the_same_bits(tmp_path, stop):
     """Also right before and after voxels are halved, which is at step 12."""
     uninterrupted = new_training()
@@ -146,10 +146,9 @@ print(failures, result == expected)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("threads", [1, 2])
-def test_running_out_of_memory_raises_a_memory_error(threads):
+def test_running_out_of_memory_raises_a_memory_error():
     """Each large allocation fails once; the final result is that without a limit."""
-    process = run_script(MEMORY_SCRIPT, 20_000, OMP_NUM_THREADS=str(threads))
+    process = run_script(MEMORY_SCRIPT, 20_000, OMP_NUM_THREADS="2")
     assert process.returncode == 0, process.stderr
     failures, is_same = process.stdout.split()
     assert int(failures) > 3 and is_same == "True"

@@ -25,7 +25,7 @@ from reconstructors.mvs.mvs import DenseMvs, median_footprint
 
 import_or_skip("pycolmap")
 
-K = corner.standard_intrinsics(320, 240)
+K = corner.standard_intrinsics(240, 180)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def test_exact_maps_yield_an_exact_cloud(completed_run, photographs):
     cloud = reconstruction.cloud
     assert reconstruction.gauge == "georeferenced"
     assert len(reconstruction.cameras) == 5
-    assert len(cloud) > 20_000
-    # A pixel is 17 mm. Fusion takes medians per coordinate, which leave a plane by a fraction of a pixel at edges.
+    assert len(cloud) > 10_000
+    # A pixel is 23 mm. Fusion takes medians per coordinate, which leave a plane by a fraction of a pixel at edges.
     error = corner.distances(cloud.points)
     assert np.median(error) < 1e-5
     assert np.quantile(error, 0.99) < 0.002
@@ -67,7 +67,7 @@ def test_exact_maps_yield_an_exact_cloud(completed_run, photographs):
     # A point has the colour of the photograph at its projection.
     scene = read_scene(photographs)
     pixels, _ = scene.cameras["003.png"].project(cloud.points)
-    inside = ((pixels > 5) & (pixels < [315, 235])).all(axis=1)
+    inside = ((pixels > 5) & (pixels < [235, 175])).all(axis=1)
     x, y = pixels[inside].astype(int).T
     photograph = scene.read_image("003.png")[y, x].astype(float)
     assert np.median(np.abs(photograph - cloud.colors[inside])) < 6
@@ -82,7 +82,7 @@ def test_exact_maps_yield_an_exact_cloud(completed_run, photographs):
 
 def test_choices_are_reported(completed_run):
     notes = check_text("\n".join(completed_run[1].notes))
-    for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
+    for value in ("bundled", "240 pixels", "about 0.02", "3 + 2 iterations over 2 levels", "5 depth maps"):
         assert value in notes
 
 
@@ -130,12 +130,12 @@ def test_little_memory_fuses_the_same_maps_in_blocks(workspace, completed_run, p
     matcher = ExactMatcher(read_scene(photographs).cameras, corner_map).install(monkeypatch)
     reconstruction = DenseMvs(backend="bundled", memory=0.01).reconstruct(read_scene(photographs), workspace)
     assert not matcher.matched
-    assert "5 depth maps fused in 8 blocks" in " ".join(reconstruction.notes)
+    assert "5 depth maps fused in 4 blocks" in " ".join(reconstruction.notes)
     whole = completed_run[1].cloud
     assert len(reconstruction.cloud) == pytest.approx(len(whole), rel=0.01)
     distances = Index(whole.points).query(reconstruction.cloud.points).distances
     assert np.mean(distances == 0) > 0.5
-    assert np.quantile(distances, 0.99) < 0.017  # a pixel
+    assert np.quantile(distances, 0.99) < 0.023  # a pixel
 
 
 def test_resumed_run_computes_only_the_missing_maps(workspace, completed_run, photographs, monkeypatch):
@@ -182,7 +182,7 @@ def test_failures_are_explained(completed_run, workspace, photographs, tmp_path,
         with check_error():
             DenseMvs(views=views).reconstruct(subset, tmp_path)
 
-    empty_matcher = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
+    empty_matcher = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((180, 240), bool)))
     empty_matcher.install(monkeypatch)
     with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=2).reconstruct(scene, workspace)
@@ -204,7 +204,7 @@ def test_two_images_are_enough(photographs, tmp_path, monkeypatch, poses):
     reconstruction = DenseMvs(backend="bundled", poses=poses).reconstruct(scene, tmp_path)
     check_text(next(note for note in reconstruction.notes if note.startswith("two images")))
     assert set(np.unique(reconstruction.cloud.attributes["views"])) == {2}
-    assert len(reconstruction.cloud) > 10_000
+    assert len(reconstruction.cloud) > 5_000
     if poses == "given":
         assert np.quantile(corner.distances(reconstruction.cloud.points), 0.99) < 0.002
 
@@ -213,7 +213,7 @@ def test_given_cameras_suffice_without_features(photographs, tmp_path, monkeypat
     """Blank photographs have no features; sources and depth ranges follow from the cameras."""
     shutil.copytree(photographs, tmp_path / "blank")
     for path in (tmp_path / "blank/images").iterdir():
-        Image.new("RGB", (320, 240), (90, 90, 90)).save(path)
+        Image.new("RGB", (240, 180), (90, 90, 90)).save(path)
     scene = read_scene(tmp_path / "blank")
     matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
     (tmp_path / "work").mkdir()
@@ -259,7 +259,7 @@ def test_full_disk_is_reported_before_matching(completed_run, workspace, photogr
         monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
 
     # Files that exist already need no more space.
-    set_free_space(100 * 5 * 320 * 240 - present_bytes)
+    set_free_space(100 * 5 * 240 * 180 - present_bytes)
     DenseMvs(backend="bundled").reconstruct(scene, workspace)
     # The estimate covers everything that a run writes, including the cloud, and not much more.
     for folder in folders:
