@@ -23,7 +23,7 @@ def raised(points, radius, offset):
 
 
 def test_samples_of_the_same_scene_have_no_changes():
-    for seed in range(3):
+    for seed in range(2):
         found = search(ground(seed), ground(seed + 10))
         assert not found.found
         assert (found.of_reference == STABLE).all()
@@ -42,7 +42,7 @@ def test_a_larger_offset_is_never_reported_less(radius):
     """A disc of 5 or 30 % of the extent, raised by 3 to 1,000 standard deviations of the noise."""
     reference, candidate = ground(1), ground(2)
     inside, sizes = disc(candidate, radius), []
-    for factor in (3, 10, 30, 100, 300, 1000):
+    for factor in (3, 10, 100, 1000):
         offset = factor * NOISE
         found = search(reference, raised(candidate, radius, offset))
         if factor < 10 and not found.found:

@@ -23,9 +23,9 @@ UTM = np.array([352300.0, 5123400.0, 300.0])
 def corridor(bend, seed):
     """Return a floor and two walls of 60 m along x, which leave sliding free; the ends are bent upwards by `bend`."""
     rng = np.random.default_rng(seed)
-    x, part, t = rng.uniform(-30, 30, 6_000), rng.integers(0, 3, 6_000), rng.uniform(-1, 1, 6_000)
+    x, part, t = rng.uniform(-30, 30, 4_000), rng.integers(0, 3, 4_000), rng.uniform(-1, 1, 4_000)
     across, height = np.where(part == 0, 2 * t, np.where(part == 1, -2.0, 2.0)), np.where(part == 0, 0.0, 1.5 + 1.5 * t)
-    points = np.stack([x, across, height], axis=1) + rng.normal(0, 0.01, (6_000, 3))
+    points = np.stack([x, across, height], axis=1) + rng.normal(0, 0.01, (4_000, 3))
     return points + bend * np.outer(np.square(x / 30), [0, 0, 1])
 
 
@@ -69,7 +69,7 @@ def town():
 
 
 def test_wrong_poses_get_no_verdict(town):
-    registered = city(3).sample(15_000, np.random.default_rng(2))[0]
+    registered = city(3).sample(8_000, np.random.default_rng(2))[0]
     clouds = {"right": registered, "wrong": town[::2] + [11, 7, 0]}
     comparison = compare(town, clouds, Settings(register="none"))
     candidate = comparison["wrong"]
@@ -89,7 +89,7 @@ def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
     monkeypatch.setattr(quality, "SURE_CONTRAST", 10.0)
     monkeypatch.setattr(quality, "returned_share", lambda *_, **__: 0.0)
     rng = np.random.default_rng(2)
-    flat, bent = (city(3).sample(15_000, rng)[0] for _ in range(2))
+    flat, bent = (city(3).sample(8_000, rng)[0] for _ in range(2))
     bent[:, 2] += 0.5 * np.square(bent[:, :2] / 200).sum(axis=1)
     comparison = compare(town, {"flat": flat, "bent": bent})
     text = markdown(comparison)
