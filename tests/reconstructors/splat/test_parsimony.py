@@ -127,9 +127,21 @@ def new_training(steps=120):
     )
 
 
-def test_the_selected_model_is_trained_on_all_photographs():
-    training = new_training()
-    training.run(120)
+@pytest.fixture(scope="module")
+def selection():
+    """A finished training, and the step, the number of Gaussians and their degree at each step of the selection."""
+    training, records = new_training(), []
+
+    def on_step(state):
+        if state.density.curve is None:
+            records.append((state.step, len(state.model), state.model.degree))
+
+    training.run(120, on_step)
+    return training, records
+
+
+def test_the_selected_model_is_trained_on_all_photographs(selection):
+    training, _ = selection
     curve = training.density.curve
     assert [b.gaussians for b in curve.budgets[:3]] == [480, 240, 120]
     assert len({b.gaussians for b in curve.budgets}) < len(curve.budgets), "colours of a lower degree were tried"
@@ -138,14 +150,8 @@ def test_the_selected_model_is_trained_on_all_photographs():
     assert len(training.photographs) == 8
 
 
-def test_each_budget_has_the_same_number_of_steps():
-    training, records = new_training(), []
-
-    def on_step(state):
-        if state.density.curve is None:
-            records.append((state.step, len(state.model), state.model.degree))
-
-    training.run(120, on_step)
+def test_each_budget_has_the_same_number_of_steps(selection):
+    training, records = selection
     curve = training.density.curve
     # After half of the steps each model has the same ten further steps; the last one is evaluated within `control`.
     for budget in curve.budgets:
@@ -156,10 +162,9 @@ def test_each_budget_has_the_same_number_of_steps():
         assert max(steps) < 70
 
 
-def test_a_resumed_selection_equals_an_uninterrupted_one(tmp_path):
-    uninterrupted = new_training()
-    uninterrupted.run(120)
-    for steps_run in (62, 90, 118):  # steps before the interruption; the selection goes back in steps
+def test_a_resumed_selection_equals_an_uninterrupted_one(selection, tmp_path):
+    uninterrupted, _ = selection
+    for steps_run in (62, 118):  # steps before the interruption; the selection goes back in steps
         first, second = new_training(), new_training()
         remaining_steps = steps_run
 
