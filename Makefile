@@ -28,6 +28,9 @@ $(VENV)/.all: $(BIN)/python $(NATIVE)
 demo: $(VENV)/.demo
 	$(BIN)/pcbench demo --out demo
 
+# Workers and child processes read compiled modules; otherwise each would compile pcbench and rewrite all asserts again.
+unexport PYTHONDONTWRITEBYTECODE
+
 test: $(VENV)/.all
 	$(BIN)/python -m pytest -n 2 -m 'not long and not slow and not gpu'
 

@@ -21,7 +21,12 @@ def without_timings(values):
     return values
 
 
+def without_progress(err):
+    """Return standard error without the progress lines that it has on a busy machine."""
+    return _PROGRESS.sub("", err)
+
+
 def is_one_line(err):
-    """Whether standard error is a one-line error; on a busy machine, progress lines may precede it."""
-    err = _PROGRESS.sub("", err)
+    """Whether standard error is a one-line error."""
+    err = without_progress(err)
     return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from children_here import drawing_here
 from command_line import is_one_line
 from optional import import_or_skip
 from wording import check_error, check_text
@@ -40,7 +41,7 @@ def test_text_is_readable_on_every_background():
 
 def test_picture_options_are_recorded_and_repeated(files, run):
     options = ("--background", "white", "--range", "0.25", "--format", "svg")
-    assert run("compare", "ref.ply", "a.ply", *options, "--out", "one", "-q")[0] == 0
+    assert run("compare", "ref.ply", "b.ply", *options, "--out", "one", "-q")[0] == 0
     figures = Figures("white", 0.25, "svg")
     assert recorded_figures(Path("one/settings.json")) == figures
     assert run("compare", "--settings", "one/settings.json", "--out", "two", "-q")[0] == 0
@@ -50,7 +51,7 @@ def test_picture_options_are_recorded_and_repeated(files, run):
     assert recorded_figures(Path("three/settings.json")) == Figures("white", 0.5, "svg")
     # The clouds of a report are coloured as its pictures are.
     for kind in ("deviation", "completeness"):
-        cloud = read_cloud(f"one/a_{kind}.ply")
+        cloud = read_cloud(f"one/b_{kind}.ply")
         expected = Range(0.0, 0.25).colors(np.asarray(cloud.attributes["distance"], float)).astype(int)
         assert np.abs(expected - np.asarray(cloud.colors)).max() <= 1
 
@@ -83,14 +84,14 @@ def test_plot_uses_the_recorded_options_unless_overridden(files, run):
     ],
     ids=["background", "range", "format", "name", "text", "list", "cut", "deep", "binary"],
 )
-def test_damaged_records_of_options_are_one_line(files, run, text):
+def test_damaged_records_of_options_are_one_line(bend, run, text):
     """The pictures are not drawn in another appearance than the user has recorded; without a record, in the default."""
-    assert run("deform", "ref.ply", "a.ply", "--no-figures", "--out", "bend", "-q")[0] == 0
     assert recorded_figures(Path("bend/settings.json")) == Figures()
     Path("bend/settings.json").write_text("{}")
     assert recorded_figures(Path("bend/settings.json")) == Figures()
     Path("bend/settings.json").write_bytes(text.encode("utf-8", "surrogatepass"))
-    code, out, err = run("plot", "bend", "--background", "white")
+    with drawing_here():
+        code, out, err = run("plot", "bend", "--background", "white")
     assert (code, out, is_one_line(err)) == (2, "", True)
     check_text(err)
 
@@ -110,12 +111,14 @@ def test_invalid_options_are_refused_before_measuring(files, run, option, value)
 def test_deform_records_its_picture_options_for_plot(files, run):
     import_or_skip("matplotlib")
     options = ("--background", "#fafafa", "--format", "svg")
-    assert run("deform", "ref.ply", "a.ply", *options, "--out", "bend", "-q")[0] == 0
+    with drawing_here():
+        assert run("deform", "ref.ply", "b.ply", *options, "--out", "bend", "-q")[0] == 0
     assert recorded_figures(Path("bend/settings.json")) == Figures("#fafafa", None, "svg")
     (figure,) = Path("bend/figures").glob("deformation.*")
     assert figure.suffix == ".svg"
     assert "#fafafa" in figure.read_text()
-    assert run("plot", "bend", "deformation")[1] == "bend/figures/deformation.svg\n"
+    with drawing_here():
+        assert run("plot", "bend", "deformation")[1] == "bend/figures/deformation.svg\n"
     code, _, err = run("deform", "ref.ply", "a.ply", "--format", "gif", "--out", "other")
     assert code == 2
     assert is_one_line(err)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import tiled_fake
+from children_here import drawing_here
 from command_line import is_one_line, read_comparison, without_timings
 from optional import import_or_skip
 from wording import check_text
@@ -67,21 +68,22 @@ def test_a_tiled_report_has_the_numbers_of_memory_and_files_of_all_points(files,
 
 def test_the_next_report_replaces_the_map_files(files, run):
     for candidate in ("a.ply", "b.ply"):
-        arguments = ("compare", "ref.ply", candidate, "--tiles", "2k", "--out", "report", "-q")
-        assert run(*arguments)[0] == 0
+        assert run("compare", "b.ply", candidate, "--tiles", "2k", "--out", "report", "-q")[0] == 0
     (files / "report/maps/notes.txt").write_text("mine")
-    assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
+    assert run("compare", "b.ply", "a.ply", "--out", "report", "-q")[0] == 0
     assert [path.name for path in Path("report/maps").iterdir()] == ["notes.txt"]
 
 
 def test_pictures_show_all_points_from_above(files, run):
     import_or_skip("matplotlib")
-    code, _, err = run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report", "-q", figures=True)
+    with drawing_here():
+        code, _, err = run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report", "-q", figures=True)
     assert (code, err) == (0, "")
     names = {path.name for path in Path("report/figures").iterdir()}
     assert {"a_distance_overview.png", "a_completeness_overview.png"} <= names
     assert "a_colors.png" not in names  # the file may be too large to read
-    code, _, err = run("plot", "report", "reference")
+    with drawing_here():
+        code, _, err = run("plot", "report", "reference")
     assert code == 2
     check_text(err)
 
@@ -104,9 +106,9 @@ def test_settings_repeat_a_tiled_comparison(run):
 
 
 @pytest.mark.parametrize("damage", [[], {"tile_points": "many"}, {"skip_bad": 1}, {"max_distance": -1}, {"other": 1}])
-def test_damaged_records_of_tiles_are_refused(damage, run):
-    assert run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "one", "-q")[0] == 0
-    recorded = json.loads(Path("one/settings.json").read_text())
+def test_damaged_records_of_tiles_are_refused(damage, report, run):
+    recorded = json.loads((report / "settings.json").read_text())
+    Path("one").mkdir()
     Path("one/settings.json").write_text(json.dumps({**recorded, "tiling": damage}))
     code, _, err = run("compare", "--settings", "one/settings.json")
     assert code == 2

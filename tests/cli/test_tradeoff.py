@@ -9,9 +9,9 @@ ONLY = ("--only", "random both", "--levels", "50%", "--seeds", 3)
 
 
 def test_the_answer_comes_first(files, run):
-    code, out, err = run("tradeoff", "ref.ply", "a.ply", *ONLY, "--tolerance", "400%", "--out", "t", "--no-figures")
+    code, out, err = run("tradeoff", "b.ply", "a.ply", *ONLY, "--tolerance", "400%", "--out", "t", "--no-figures")
     assert code == 2 and is_one_line(err)
-    code, out, _ = run("tradeoff", "ref.ply", "a.ply", *ONLY, "--tolerance", "1e-3", "--out", "t", "--no-figures")
+    code, out, _ = run("tradeoff", "b.ply", "a.ply", *ONLY, "--tolerance", "1e-3", "--out", "t", "--no-figures")
     assert code == 0
     assert out.startswith("Nothing cheaper keeps every mean distance")
     assert "report: t/" in out
@@ -19,7 +19,7 @@ def test_the_answer_comes_first(files, run):
 
 
 def test_json_on_standard_output(files, run):
-    code, out, _ = run("tradeoff", "ref.ply", "a.ply", *ONLY, "--json", "-")
+    code, out, _ = run("tradeoff", "b.ply", "a.ply", *ONLY, "--json", "-")
     assert code == 0
     study = json.loads(out)
     assert study["schema"] == "pcbench.tradeoff/1"

@@ -155,8 +155,8 @@ def _command_words(words: list[str]) -> list[str]:
 def test_commands_of_the_readme(call, tmp_path):
     """The first command of the README works on any clouds of these names, and its make targets exist."""
     call(SHARED_COMMANDS[0], tmp_path)
-    for name, cloud in (("ref", "reference"), ("a", "sparse"), ("b", "densified")):
-        (tmp_path / "demo" / "clouds" / f"{cloud}.ply").rename(tmp_path / f"{name}.ply")
+    for name, cloud in (("ref", "densified"), ("a", "sparse"), ("b", "sparse")):  # the dense reference takes long
+        shutil.copy(tmp_path / "demo" / "clouds" / f"{cloud}.ply", tmp_path / f"{name}.ply")
     marked = [b for b in blocks(ROOT / "README.md") if b.mark and b.mark[1].endswith("test_commands_of_the_readme")]
     (compare,), makes = (commands(block) for block in marked)
     assert "report: report" in call(f"{compare[0]} --no-figures", tmp_path)

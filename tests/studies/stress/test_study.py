@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from children_here import stress_runs_here
 from command_line import is_one_line
 from html_pages import check_page_of_study, markdown_tables
 from optional import import_or_skip
@@ -32,6 +33,12 @@ SETTINGS = StressSettings(
 
 def small_plan(settings):
     return replace(StressPlan.of(settings), points=3000)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def runs_here():
+    with stress_runs_here():
+        yield
 
 
 @pytest.fixture(scope="module")
