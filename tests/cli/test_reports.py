@@ -109,7 +109,7 @@ def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(
     assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
     names = {p.name for p in (files / "report").iterdir()} - {"figures"}
     fields = {"a_deformation.csv", "a_deformation.ply"}
-    assert names == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "maps", "notes.txt"}
+    assert names == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "notes.txt"}
     assert not [p for p in files.iterdir() if p.name.startswith(".")]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.io.map_tiles import MapOverview
-from pcbench.measure.tiled.sums import GroupSums
+from pcbench.measure.tiled.sums import Groups, GroupSums
 
 _PIXELS_ALONG = 1_000  # at most, along the longer side of the overview
 _SPACINGS_PER_PIXEL = 2.5  # at least: most pixels of a surface then hold points
@@ -84,17 +84,20 @@ class PixelSums:
         """Add up distances (N,) of points (N, 3), and signed ones (N,), which are NaN where they are unknown."""
         pixels = grid.pixels_of(points)
         inside = np.flatnonzero(pixels >= 0)
-        sums = GroupSums.of(pixels[inside], {"distance": distances[inside]})
-        largest = _largest(sums.keys, pixels[inside], distances[inside])
-        inside = inside[np.isfinite(signed[inside])]
-        return cls(sums, largest, GroupSums.of(pixels[inside], {"signed": signed[inside]}))
+        pixels, distances, signed = pixels[inside], distances[inside], signed[inside]
+        groups = Groups.of(pixels)
+        sums, largest = GroupSums.of(groups, {"distance": distances}), _largest(groups, distances)
+        is_known = np.isfinite(signed)
+        if not is_known.all():
+            groups, signed = Groups.of(pixels[is_known]), signed[is_known]
+        return cls(sums, largest, GroupSums.of(groups, {"signed": signed}))
 
     @classmethod
     def merge(cls, parts: Sequence[PixelSums]) -> PixelSums:
         """Return the sums over all points of one or several parts."""
         sums = GroupSums.merge([part.sums for part in parts])
-        pixels = np.concatenate([part.sums.keys for part in parts])
-        largest = _largest(sums.keys, pixels, np.concatenate([part.largest for part in parts]))
+        groups = Groups.of(np.concatenate([part.sums.keys for part in parts]))
+        largest = _largest(groups, np.concatenate([part.largest for part in parts]))
         return cls(sums, largest, GroupSums.merge([part.signed for part in parts]))
 
     def overview(self, grid: PixelGrid, origin: FloatArray) -> MapOverview:
@@ -118,9 +121,9 @@ def along_upward_normals(planes: FloatArray, normals: FloatArray) -> FloatArray:
     return np.where(normals[:, 2] < -_MAX_HORIZONTAL_NZ, -planes, planes)
 
 
-def _largest(keys: IntArray, of_value: IntArray, values: FloatArray) -> FloatArray:
-    largest = np.full(len(keys), -np.inf)
-    np.maximum.at(largest, np.searchsorted(keys, of_value), values)
+def _largest(groups: Groups, values: FloatArray) -> FloatArray:
+    largest = np.full(len(groups.keys), -np.inf)
+    np.maximum.at(largest, groups.of_value, values)
     return largest
 
 
