@@ -126,7 +126,8 @@ def write_tile_index(folder: Path, crs: str | None) -> Path | None:
         crs: coordinate system of the reference.
 
     Returns:
-        The file; None if there are no tiles or the coordinate system is unknown, which a .vpc file must have.
+        The file; None if there are no tiles, or the places of the tiles on the Earth are unknown, which a .vpc file
+        must have.
 
     Raises:
         OSError: a tile cannot be read or the file cannot be written.
@@ -135,7 +136,10 @@ def write_tile_index(folder: Path, crs: str | None) -> Path | None:
     if crs is None or not tiles or not is_known_crs(crs):
         return None
     path = folder.with_name(f"{folder.name}.vpc")
-    items = [_index_entry(tile, f"./{folder.name}/{tile.name}", crs) for tile in tiles]
+    try:
+        items = [_index_entry(tile, f"./{folder.name}/{tile.name}", crs) for tile in tiles]
+    except ValueError:  # a local grid
+        return None
     with atomic_write(path) as file:
         file.write(json.dumps({"type": "FeatureCollection", "features": items}).encode())
     return path

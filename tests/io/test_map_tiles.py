@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 
+from pcbench.geometry.crs import unnamed_grid
 from pcbench.io import read_cloud
 from pcbench.io.geotiff import read_geotiff
 from pcbench.io.map_tiles import (
@@ -80,6 +81,7 @@ def test_there_is_no_index_without_tiles_or_system(tmp_path):
     assert write_tile_index(tmp_path / "maps", "EPSG:25832") is None
     write_map_tile(tmp_path / "maps" / "tile.las", *a_tile())
     assert write_tile_index(tmp_path / "maps", None) is None
+    assert write_tile_index(tmp_path / "maps", unnamed_grid("m", "m")) is None  # a grid that is not on the Earth
 
 
 @pytest.mark.parametrize("kind", ["distance", "completeness"])
