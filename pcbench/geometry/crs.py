@@ -354,13 +354,14 @@ def wkt2(text: str) -> str:
     return str(_known(text).to_wkt("WKT2_2019"))
 
 
-def to_wgs84(text: str, positions: FloatArray) -> FloatArray:
-    """Return longitude and latitude (N, 2) of positions (N, 2) in a known CRS, in degrees of WGS84.
+def to_wgs84(text: str, positions: FloatArray) -> FloatArray | None:
+    """Return longitude and latitude (N, 2) of positions (N, 2) in degrees of WGS84.
 
-    Raises:
-        ValueError: pyproj is not installed, does not know the CRS, or cannot transform a position to WGS84.
+    The result is None if the CRS is unknown or not on the Earth, or if a position is outside its area.
     """
-    crs = _known(text)
+    crs = parse_crs(text)
+    if crs is None:
+        return None
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
@@ -369,11 +370,9 @@ def to_wgs84(text: str, positions: FloatArray) -> FloatArray:
             crs.sub_crs_list[0] if crs.sub_crs_list else crs, "EPSG:4326", always_xy=True
         )
         degrees = np.stack(transformer.transform(positions[:, 0], positions[:, 1]), axis=1)
-    except ProjError as error:
-        raise ValueError(f"expected a CRS on the Earth, got {crs_name(text)}") from error
-    if not np.isfinite(degrees).all():
-        raise ValueError(f"expected positions inside the area of {crs_name(text)}")
-    return degrees
+    except ProjError:
+        return None
+    return degrees if np.isfinite(degrees).all() else None
 
 
 def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:

@@ -58,11 +58,10 @@ def _degrees(layer: VectorLayer) -> list[Any] | None:
         return None
     shapes = [feature.geometry for feature in layer.features]
     positions = [np.empty((0, 2)), *(shape.positions[:, :2] for shape in shapes)]
-    try:
-        degrees = to_wgs84(layer.crs, np.concatenate(positions)).round(_DEGREE_DECIMALS)
-    except ValueError:
+    degrees = to_wgs84(layer.crs, np.concatenate(positions))
+    if degrees is None:
         return None
-    _, *each = np.split(degrees, np.cumsum([len(part) for part in positions])[:-1])
+    _, *each = np.split(degrees.round(_DEGREE_DECIMALS), np.cumsum([len(part) for part in positions])[:-1])
     return [_coordinates(shape, part) for shape, part in zip(shapes, each, strict=True)]
 
 

@@ -136,9 +136,8 @@ def write_tile_index(folder: Path, crs: str | None) -> Path | None:
     if crs is None or not tiles or not is_known_crs(crs):
         return None
     path = folder.with_name(f"{folder.name}.vpc")
-    try:
-        items = [_index_entry(tile, f"./{folder.name}/{tile.name}", crs) for tile in tiles]
-    except ValueError:  # a local grid
+    items = [_index_entry(tile, f"./{folder.name}/{tile.name}", crs) for tile in tiles]
+    if None in items:
         return None
     with atomic_write(path) as file:
         file.write(json.dumps({"type": "FeatureCollection", "features": items}).encode())
@@ -187,13 +186,19 @@ def read_overview(path: Path) -> MapOverview:
     return MapOverview(signed, mean, largest, count, raster.west, raster.north, raster.pixel)
 
 
-def _index_entry(tile: Path, href: str, crs: str) -> dict[str, Any]:
-    """Return the STAC item of a tile: its corners as longitude and latitude, its bounds, count and system."""
+def _index_entry(tile: Path, href: str, crs: str) -> dict[str, Any] | None:
+    """Return the STAC item of a tile: its corners as longitude and latitude, its bounds, count and system.
+
+    The result is None if its place on the Earth is unknown, as on a local grid.
+    """
     with tile.open("rb") as file:
         header = read_header(file, lambda _: None)
     (west, south, low), (east, north, high) = header.bounds or ((0.0,) * 3, (0.0,) * 3)
     ring = np.array([[west, south], [east, south], [east, north], [west, north], [west, south]])
-    corners = to_wgs84(crs, ring).tolist()
+    degrees = to_wgs84(crs, ring)
+    if degrees is None:
+        return None
+    corners = degrees.tolist()
     longitudes, latitudes = zip(*corners, strict=True)
     return {
         "type": "Feature",
