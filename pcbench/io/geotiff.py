@@ -40,7 +40,7 @@ class BandText:
 
     Attributes:
         definition: one sentence that defines the values; for signed ones, it says what is positive.
-        unit: unit of the values; None: they have none.
+        unit: unit of the values, `1` for counts and shares; None: that of the system's heights, as GDAL assumes.
         overview: value of an overview's pixel, from the four pixels below it that have data: their `mean`, or their
             `max`. Counts and yes-or-no values have means too: the count per pixel and the share, so that their colours
             stay the same at each scale.

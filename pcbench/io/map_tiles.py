@@ -168,11 +168,12 @@ def write_overview(
     """
     path = folder / f"{name}_{kind}.tif"
     bands = {"signed": overview.signed, "mean": overview.mean, "largest": overview.largest, "count": overview.count}
+    length = unit or "unknown"  # GDAL would take the unit of heights
     texts = {
-        "signed": BandText(_SIGNED_DEFINITION, unit),
-        "mean": BandText(f"Mean distance of {_POINTS[kind]} to {_NEAREST[kind]}.", unit),
-        "largest": BandText(f"Largest distance of {_POINTS[kind]} to {_NEAREST[kind]}.", unit, "max"),
-        "count": BandText(f"Number of {_POINTS[kind]}."),
+        "signed": BandText(_SIGNED_DEFINITION, length),
+        "mean": BandText(f"Mean distance of {_POINTS[kind]} to {_NEAREST[kind]}.", length),
+        "largest": BandText(f"Largest distance of {_POINTS[kind]} to {_NEAREST[kind]}.", length, "max"),
+        "count": BandText(f"Number of {_POINTS[kind]}.", "1"),
     }
     write_geotiff(path, Raster(bands, overview.west, overview.north, overview.pixel, crs, texts))
     return path
