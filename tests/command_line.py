@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 # Files in each report folder.
-REPORT = {"report.html", "comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json"}
+REPORT = {"report.html", "comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json", "maps"}
 
 _PROGRESS = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)
 

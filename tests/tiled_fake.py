@@ -87,10 +87,13 @@ def overview(map_, columns=60):
     count = np.bincount(at, minlength=rows * (columns + 1))[: rows * (columns + 1)].reshape(shape)
     largest = np.full(shape, -np.inf)
     np.maximum.at(largest.reshape(-1), at, map_.scalars["distance"])
-    total = np.bincount(at, map_.scalars["distance"], minlength=rows * (columns + 1)).reshape(shape)
+    planes = map_.scalars.get("plane_distance", np.full(len(at), np.nan))
+    totals = [
+        np.bincount(at, values, minlength=count.size).reshape(shape) for values in (planes, map_.scalars["distance"])
+    ]
     with np.errstate(invalid="ignore"):
-        mean = total / count
-    return map_tiles.MapOverview(mean, np.where(count > 0, largest, np.nan), count, low[0], high[1], pixel)
+        signed, mean = np.divide(totals, count)
+    return map_tiles.MapOverview(signed, mean, np.where(count > 0, largest, np.nan), count, low[0], high[1], pixel)
 
 
 def joined(path):

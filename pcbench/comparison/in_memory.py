@@ -13,11 +13,12 @@ from pcbench.comparison.pipeline import compare_candidates, record_time
 from pcbench.comparison.result import Comparison
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
-from pcbench.geometry.arrays import bounds
+from pcbench.geometry.arrays import IntArray, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice, vertex_cloud
+from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
 from pcbench.measure.intervals import CorrelationCells
@@ -40,6 +41,7 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import DirectedBudget
 from pcbench.measure.settings import Settings
 from pcbench.measure.summaries import DirectionSummary, summarize
+from pcbench.measure.tiled.overview import PixelGrid, PixelSums, along_upward_normals
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 
@@ -221,8 +223,29 @@ class PairInMemory:
             how = self.settings.m3c2 if isinstance(self.settings.m3c2, M3C2Settings) else M3C2Settings()
             along_normals = compare_along_normals(self.reference, self.aligned.index, self.registration, how)
         points, rows = forth.points + self.reference.origin, np.flatnonzero(self.aligned.inside)
-        deviation = DeviationMap(points, rows, scalars, along_normals, frozenset(unsigned))
-        return deviation, DeviationMap(*self.reference.measured, {"distance": back.distances.to_points})
+        from_candidate, from_reference = self._overviews()
+        deviation = DeviationMap(points, rows, scalars, along_normals, frozenset(unsigned), overview=from_candidate)
+        distances = {"distance": back.distances.to_points}
+        return deviation, DeviationMap(*self.reference.measured, distances, overview=from_reference)
+
+    def _overviews(self) -> tuple[MapOverview, MapOverview]:
+        """Return the rasters of both maps, with the same values as those in tiles."""
+        reference = self.reference
+        pixels = PixelGrid.covering(reference.points, *bounds(reference.points), reference.spacing)
+        rows = np.arange(len(reference.points)) if reference.rows is None else reference.rows
+
+        def overview(direction: Direction, tangents: IntArray, sign: int) -> MapOverview:
+            """Return the raster of a direction, whose planes are those at rows (M,) of the reference."""
+            distances, signed = direction.distances, np.full(len(direction.points), np.nan)
+            if isinstance(distances.to_planes, np.ndarray):
+                normals = reference.surface.compute_normals(tangents)[tangents]
+                signed = sign * along_upward_normals(distances.to_planes, normals)
+            sums = PixelSums.of(pixels, direction.points, distances.to_points, signed)
+            return sums.overview(pixels, reference.origin)
+
+        forth, back = self.directions
+        # A point of the reference below the candidate has a negative distance to it.
+        return overview(forth, self.matched.forth.indices, 1), overview(back, rows, -1)
 
     def presets(self, deviation: DeviationMap) -> Mapping[str, Preset]:
         """Return the metrics as other tools define them, between clouds cut at the region."""

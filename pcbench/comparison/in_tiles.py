@@ -403,6 +403,7 @@ class PairInTiles:
                     kind,
                     origin=origin,
                     crs=self.reference.crs,
+                    unit=self.prepared.stored.source.unit,
                     pixels=self.pair.pixels,
                 )
         return deviation, completeness

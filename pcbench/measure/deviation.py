@@ -15,6 +15,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.metrics import nmad, percentiles
 from pcbench.measure.plane_sample import PlaneSample
 
@@ -82,6 +83,7 @@ class DeviationMap:
         known_spreads: summary statistics of all measured values, if these are a sample of them.
         sample_step: points whose rows are multiples of it are an even sample, and the others were added because they
             deviate most. None: no points were added.
+        overview: raster of the distances as seen from above; None: a comparison in tiles has it in its files.
     """
 
     points: FloatArray
@@ -92,6 +94,7 @@ class DeviationMap:
     sampled_from: int | None = None
     known_spreads: Mapping[str, Spread] | None = None
     sample_step: int | None = None
+    overview: MapOverview | None = None
 
     @cached_property
     def is_even(self) -> NDArray[np.bool_]:

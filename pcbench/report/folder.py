@@ -18,6 +18,7 @@ from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
 from pcbench.io.json_values import to_json
+from pcbench.io.map_tiles import write_overview
 from pcbench.io.paths import input_files
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
@@ -27,7 +28,7 @@ from pcbench.report.document import deformation_values, document
 from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, page, write_page
 from pcbench.report.inputs import FinishedComparison, InputFile, Inputs
-from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
+from pcbench.report.manifest import MAPS, check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
 from pcbench.report.recorded import record, record_tiling, restore, restore_tiling
@@ -191,9 +192,9 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
 
 
 def _write_maps(folder: Path, comparison: FinishedComparison, figures: Figures) -> None:
-    """Write NAME_deviation.ply (and .laz for a LAS input), NAME_completeness.ply and NAME_m3c2.ply.
+    """Write NAME_deviation.ply (and .laz for a LAS input), NAME_completeness.ply, NAME_m3c2.ply, and GeoTIFF in maps/.
 
-    They have named scalars, and RGB for viewers that show no scalars.
+    The clouds have named scalars, and RGB for viewers that show no scalars.
     """
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
@@ -218,6 +219,12 @@ def _write_maps(folder: Path, comparison: FinishedComparison, figures: Figures) 
                 write_cloud(f"{stem}_deviation.laz", laz)
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
+        for kind, overview in {"distance": deviation.overview, "completeness": candidate.completeness.overview}.items():
+            if overview is not None:
+                (folder / MAPS).mkdir(exist_ok=True)
+                write_overview(
+                    folder / MAPS, candidate.name, overview, kind=kind, crs=reference.crs, unit=reference.unit
+                )
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 

@@ -21,7 +21,7 @@ from pcbench.scratch import atomic_write
 MANIFEST = "manifest.json"
 SCHEMA = "pcbench.manifest/1"
 FIGURES = "figures"
-MAPS = "maps"  # folder of the map files of a tiled comparison
+MAPS = "maps"  # folder of rasters of the distances, and of all points of a comparison in tiles
 _PENDING = ".pcbench-replacement"  # a complete new report whose files are still to be moved
 
 

@@ -111,6 +111,7 @@ class Report:
         cameras: the cameras of the scene, if recorded.
         rotation: rotation from the coordinates of the reference to those of the clouds and cameras; None: there is
             none.
+        is_tiled: whether it was compared in tiles, so that its clouds are samples.
     """
 
     unit: str
@@ -119,6 +120,7 @@ class Report:
     candidates: tuple[ReportedCandidate, ...]
     cameras: ViewingCameras | None = None
     rotation: Similarity | None = None
+    is_tiled: bool = False
 
     def reference(self) -> Cloud | None:
         """Read the reference cloud, if it came from a file that still exists."""
@@ -161,6 +163,7 @@ def read_report(folder: Path, *, upright: bool = False) -> Report:
             ),
             cameras=cameras,
             rotation=rotation,
+            is_tiled=is_tiled,
         )
 
 

@@ -170,7 +170,8 @@ def _other_outputs(folder: Path | None, *, full: bool, is_sample: bool) -> Itera
         "*_deformation.ply": "displacements",
         "*_T.txt": "matrices",
         "figures/*": "pictures",
-        "maps/*": "distances of all points as LAZ tiles and GeoTIFF",
+        "maps/*.tif": "signed distances for a GIS",
+        "maps/*/": "distances of all points as LAZ tiles",
     }
     present = [(name, what) for name, what in contents.items() if any(folder.glob(name))]
     parts = [f"{name.removesuffix('*')} ({what})" if what else name for name, what in present]

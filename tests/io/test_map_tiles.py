@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 
+from pcbench.geometry.crs import unnamed_grid
 from pcbench.io import read_cloud
 from pcbench.io.geotiff import read_geotiff
 from pcbench.io.map_tiles import (
@@ -16,6 +17,7 @@ from pcbench.io.map_tiles import (
     write_overview,
     write_tile_index,
 )
+from pcbench.io.tiff import read_directory
 
 
 def a_tile(offset=0.0, count=500):
@@ -79,28 +81,34 @@ def test_there_is_no_index_without_tiles_or_system(tmp_path):
     assert write_tile_index(tmp_path / "maps", "EPSG:25832") is None
     write_map_tile(tmp_path / "maps" / "tile.las", *a_tile())
     assert write_tile_index(tmp_path / "maps", None) is None
+    assert write_tile_index(tmp_path / "maps", unnamed_grid("m", "m")) is None  # a grid that is not on the Earth
 
 
 @pytest.mark.parametrize("kind", ["distance", "completeness"])
 def test_an_overview_is_read_back(tmp_path, kind):
     mean = np.array([[0.1, np.nan, 0.3], [0.2, 0.4, np.nan]])
     count = np.array([[7, 0, 3], [2, 1_000_000, 0]])
-    overview = MapOverview(mean, 2 * mean, count, 10.0, 20.0, 0.25)
-    path = write_overview(tmp_path, "a", overview, kind=kind, crs=None)
+    overview = MapOverview(-mean, mean, 2 * mean, count, 10.0, 20.0, 0.25)
+    path = write_overview(tmp_path, "a", overview, kind=kind, crs=None, unit="m")
     assert path == tmp_path / f"a_{kind}.tif"
     read = read_overview(path)
+    np.testing.assert_array_equal(read.signed, -mean.astype(np.float32))
     np.testing.assert_array_equal(read.mean, mean.astype(np.float32))
     np.testing.assert_array_equal(read.largest, (2 * mean).astype(np.float32))
     np.testing.assert_array_equal(read.count, count)
     assert (read.west, read.north, read.pixel) == (10.0, 20.0, 0.25)
-    assert list(read_geotiff(path).bands) == ["mean", "largest", "count"]
+    texts = read_directory(path.read_bytes())[42112].decode()
+    assert "above the reference, or in front of it" in texts
+    assert f"the nearest point of the {'reference' if kind == 'distance' else 'candidate'}" in texts
+    assert list(read_geotiff(path).bands) == ["signed", "mean", "largest", "count"]
 
 
 def test_a_halved_overview_has_the_means_of_all_points():
     rng = np.random.default_rng(0)
     count = rng.integers(0, 4, (5, 7))
     mean = np.where(count > 0, rng.uniform(0, 1, count.shape), np.nan)
-    found = MapOverview(mean, 2 * mean, count, 10.0, 20.0, 0.25).halved()
+    signed = np.where(rng.random(count.shape) < 0.7, -mean, np.nan)  # unknown in some pixels
+    found = MapOverview(signed, mean, 2 * mean, count, 10.0, 20.0, 0.25).halved()
     assert found.mean.shape == (3, 4)
     assert (found.west, found.north, found.pixel) == (10.0, 20.0, 0.5)
     assert found.count.sum() == count.sum()
@@ -112,3 +120,7 @@ def test_a_halved_overview_has_the_means_of_all_points():
             values = found.mean[row, column], found.largest[row, column]
             np.testing.assert_allclose(values, expected, rtol=1e-12)  # rounding of a few sums
             assert found.count[row, column] == len(points)
+            values = np.repeat(signed[part].ravel(), count[part].ravel())
+            values = values[np.isfinite(values)]
+            expected = values.mean() if len(values) else np.nan
+            np.testing.assert_allclose(found.signed[row, column], expected, rtol=1e-12)

@@ -20,7 +20,7 @@ from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.labels import PointLabels
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums
+from pcbench.measure.tiled.overview import PixelGrid, PixelSums, along_upward_normals
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.spreads import Distribution, spread_of
 from pcbench.measure.tiled.steps import Steps, tile_tasks
@@ -200,7 +200,7 @@ def measure_candidate_tile(file: Path, key: str, number: int, region: Region | N
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
     distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
     budget = _budget_sums(pair, planes, closest, normals, pair.labels[0], points)
-    return _store(pair, pair.forth, number, inside, distances, budget)
+    return _store(pair, pair.forth, number, inside, distances, along_upward_normals(planes, normals), budget)
 
 
 def measure_reference_tile(file: Path, key: str, number: int, region: Region | None) -> DistanceSums:
@@ -218,7 +218,8 @@ def measure_reference_tile(file: Path, key: str, number: int, region: Region | N
     cells = pair.grid.cells_of(points)
     distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
     budget = _budget_sums(pair, planes, points, normals, pair.labels[1], points)
-    return _store(pair, pair.back, number, inside, distances, budget)
+    # The queries are the reference's points: below the candidate, their distance to it is negative.
+    return _store(pair, pair.back, number, inside, distances, -along_upward_normals(planes, normals), budget)
 
 
 class _TileBudget(NamedTuple):
@@ -265,9 +266,25 @@ def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[Flo
 
 
 def _store(
-    pair: TiledPair, folder: Path, number: int, inside: IntArray | None, distances: _Distances, budget: _TileBudget
+    pair: TiledPair,
+    folder: Path,
+    number: int,
+    inside: IntArray | None,
+    distances: _Distances,
+    signed: FloatArray,
+    budget: _TileBudget,
 ) -> DistanceSums:
-    """Store the distances of a tile and add them up."""
+    """Store the distances of a tile and add them up.
+
+    Args:
+        pair: both clouds.
+        folder: folder of the distances.
+        number: number of the tile.
+        inside: positions of the queries in the tile; None: all.
+        distances: the queries and their distances.
+        signed: (n,) signed distances, positive where the candidate is above the reference; NaN: unknown.
+        budget: sums of the budget.
+    """
     save_column(folder, number, DISTANCE, distances.to_points)
     save_column(folder, number, PLANE_DISTANCE, distances.to_planes)
     if inside is not None:
@@ -283,6 +300,6 @@ def _store(
     )
     is_near = (distances.to_points <= pair.overlap_distance) & ~is_censored
     near = GroupSums.of(None, {"square": np.square(distances.to_planes[is_near])})
-    pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, distances.points, distances.to_points)
+    pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, distances.points, distances.to_points, signed)
     squares = GroupSums.of(budget.labels, {"square": np.square(distances.to_planes)})
     return DistanceSums(totals, near, pixels, squares, budget.sums)

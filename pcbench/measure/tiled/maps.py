@@ -22,6 +22,8 @@ MAP_SAMPLE = 300_000
 LARGEST_SHARE = 1e-4
 """Share of the points with the largest deviations, all of which are shown, up to `MAP_SAMPLE`."""
 
+_SIGNS = {"distance": 1, "completeness": -1}  # a point of the reference below the candidate has a negative distance
+
 
 class MapPoints(NamedTuple):
     """Points of a map: (N, 3) in local coordinates, their rows (N,), and their distances (N,) to points and planes."""
@@ -47,12 +49,14 @@ def sample_map(tiles: Path, folder: Path, number: int, step: int, least: float) 
     return MapPoints(points.points[kept], points.rows[kept], points.distances[kept], points.plane_distances[kept])
 
 
-def write_tile_of_map(tiles: Path, folder: Path, number: int, origin: FloatArray, crs: str | None, path: Path) -> bool:
+def write_tile_of_map(
+    tiles: Path, folder: Path, number: int, sign: int, origin: FloatArray, crs: str | None, path: Path
+) -> bool:
     """Write all points of a tile of a map; see `pcbench.io.map_tiles.write_map_tile`. Return whether there are any."""
     points = _map_points(tiles, folder, number)
     if not len(points.points):
         return False
-    write_map_tile(path, points.points + origin, points.distances, points.plane_distances, crs=crs)
+    write_map_tile(path, points.points + origin, points.distances, sign * points.plane_distances, crs=crs)
     record_file(path)
     return True
 
@@ -128,6 +132,7 @@ def write_direction(
     *,
     origin: FloatArray,
     crs: str | None,
+    unit: str | None,
     pixels: PixelGrid | None,
 ) -> None:
     """Write a map of all points, its index and its overview.
@@ -140,6 +145,7 @@ def write_direction(
         kind: kind of the map, see `pcbench.io.map_tiles.write_overview`.
         origin: (3,) offset that was subtracted from all coordinates.
         crs: coordinate system of the points, if known.
+        unit: unit of lengths, if known.
         pixels: grid of the overview; None: none is written.
     """
     folder, tiles = maps / f"{name}_{kind}", direction.queries
@@ -147,10 +153,11 @@ def write_direction(
 
     def arguments(number: int) -> tuple[Any, ...]:
         path = folder / f"tile_{number:04d}{map_tile_extension()}"
-        return tiles.folder, direction.folder, number, origin, crs, path
+        return tiles.folder, direction.folder, number, _SIGNS[kind], origin, crs, path
 
     tasks = tile_tasks(tiles, arguments)
     steps.results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
     write_tile_index(folder, crs)
     if pixels is not None and direction.sums.pixels is not None:
-        write_overview(maps, name, direction.sums.pixels.overview(pixels, origin), kind=kind, crs=crs)
+        overview = direction.sums.pixels.overview(pixels, origin)
+        write_overview(maps, name, overview, kind=kind, crs=crs, unit=unit)

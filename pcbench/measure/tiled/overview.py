@@ -1,4 +1,4 @@
-"""Overview of a deviation map: distances per pixel of a raster, seen from above."""
+"""Overview of a deviation map: distances per pixel of a raster, seen from above. Comparisons in memory have it too."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.io.map_tiles import MapOverview
-from pcbench.measure.tiled.sums import GroupSums
+from pcbench.measure.tiled.sums import Groups, GroupSums
 
 _PIXELS_ALONG = 1_000  # at most, along the longer side of the overview
 _SPACINGS_PER_PIXEL = 2.5  # at least: most pixels of a surface then hold points
+_MAX_HORIZONTAL_NZ = math.sin(math.radians(10))  # |z| of a normal that is nearly horizontal
 _BORDER_SHARE = 0.05  # of the robust bounds, beyond which points are outliers
 
 
@@ -71,43 +72,58 @@ class PixelSums:
     Attributes:
         sums: sum of the distances in each pixel that has points, as `distance`.
         largest: (K,) largest distance in each of these pixels.
+        signed: sum of the known signed distances in each pixel that has some, as `signed`.
     """
 
     sums: GroupSums
     largest: FloatArray
+    signed: GroupSums
 
     @classmethod
-    def of(cls, grid: PixelGrid, points: FloatArray, distances: FloatArray) -> PixelSums:
-        """Add up the distances (N,) of points (N, 3)."""
+    def of(cls, grid: PixelGrid, points: FloatArray, distances: FloatArray, signed: FloatArray) -> PixelSums:
+        """Add up distances (N,) of points (N, 3), and signed ones (N,), which are NaN where they are unknown."""
         pixels = grid.pixels_of(points)
         inside = np.flatnonzero(pixels >= 0)
-        sums = GroupSums.of(pixels[inside], {"distance": distances[inside]})
-        return cls(sums, _largest(sums.keys, pixels[inside], distances[inside]))
+        pixels, distances, signed = pixels[inside], distances[inside], signed[inside]
+        groups = Groups.of(pixels)
+        sums, largest = GroupSums.of(groups, {"distance": distances}), _largest(groups, distances)
+        is_known = np.isfinite(signed)
+        if not is_known.all():
+            groups, signed = Groups.of(pixels[is_known]), signed[is_known]
+        return cls(sums, largest, GroupSums.of(groups, {"signed": signed}))
 
     @classmethod
     def merge(cls, parts: Sequence[PixelSums]) -> PixelSums:
         """Return the sums over all points of one or several parts."""
         sums = GroupSums.merge([part.sums for part in parts])
-        pixels = np.concatenate([part.sums.keys for part in parts])
-        return cls(sums, _largest(sums.keys, pixels, np.concatenate([part.largest for part in parts])))
+        groups = Groups.of(np.concatenate([part.sums.keys for part in parts]))
+        largest = _largest(groups, np.concatenate([part.largest for part in parts]))
+        return cls(sums, largest, GroupSums.merge([part.signed for part in parts]))
 
     def overview(self, grid: PixelGrid, origin: FloatArray) -> MapOverview:
         """Return the raster, in coordinates to which `origin` (3,) was added."""
         shape = (grid.height, grid.width)
-        mean, largest, count = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, np.int64)
-        for raster, values in (
-            (mean, self.sums.means("distance")),
-            (largest, self.largest),
-            (count, self.sums.counts),
-        ):
-            raster.flat[self.sums.keys] = values
-        north = grid.south + grid.height * grid.pixel + float(origin[1])
-        return MapOverview(mean[::-1], largest[::-1], count[::-1], grid.west + float(origin[0]), north, grid.pixel)
+        signed, mean, largest = np.full((3, *shape), np.nan)
+        count = np.zeros(shape, np.int64)
+        signed.flat[self.signed.keys] = self.signed.means("signed")
+        mean.flat[self.sums.keys] = self.sums.means("distance")
+        largest.flat[self.sums.keys] = self.largest
+        count.flat[self.sums.keys] = self.sums.counts
+        west, north = grid.west + float(origin[0]), grid.south + grid.height * grid.pixel + float(origin[1])
+        return MapOverview(signed[::-1], mean[::-1], largest[::-1], count[::-1], west, north, grid.pixel)
 
 
-def _largest(keys: IntArray, of_value: IntArray, values: FloatArray) -> FloatArray:
-    largest = np.full(len(keys), -np.inf)
-    np.maximum.at(largest, np.searchsorted(keys, of_value), values)
+def along_upward_normals(planes: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return signed distances (N,) along normals (N, 3) with those that point downwards reversed.
+
+    A given normal that is horizontal, within ten degrees, stays: it says which side of a wall is its front.
+    """
+    return np.where(normals[:, 2] < -_MAX_HORIZONTAL_NZ, -planes, planes)
+
+
+def _largest(groups: Groups, values: FloatArray) -> FloatArray:
+    largest = np.full(len(groups.keys), -np.inf)
+    np.maximum.at(largest, groups.of_value, values)
     return largest
 
 

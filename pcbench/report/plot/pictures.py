@@ -120,7 +120,9 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, scenery: map
 
 
 def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture]:
-    """Return a picture of each overview raster in the folder of the map files, as seen from above."""
+    """Return a picture of each overview raster of a comparison in tiles; in memory, other maps show all points."""
+    if not report.is_tiled:
+        return {}
 
     def picture(path: Path, title: str, label: str) -> Picture:
         def draw(picture_file: Path) -> bool:

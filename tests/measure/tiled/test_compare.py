@@ -14,6 +14,7 @@ from wording import check_error
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
+from pcbench.io.map_tiles import write_overview
 from pcbench.measure.deviation import Spread
 from pcbench.measure.tiled.settings import TilingSettings
 
@@ -90,7 +91,19 @@ KINDS = (
 def test_numbers_are_those_in_memory(tmp_path, monkeypatch, kind):
     in_this_process(monkeypatch)
     pair = Pair(tmp_path / "pair", *kind(np.random.default_rng(0)))
-    check_equal(pair.tiled(), pair.memory())
+    expected = pair.memory()
+    check_equal(pair.tiled(maps=tmp_path / "maps"), expected)
+    check_rasters(tmp_path / "maps", expected)
+
+
+def check_rasters(folder, memory):
+    """Check that the GeoTIFF files of a comparison in tiles are those of the one in memory, in all bytes."""
+    own = folder.with_name("rasters")
+    own.mkdir()
+    for candidate in memory:
+        for kind, map_ in {"distance": candidate.deviation, "completeness": candidate.completeness}.items():
+            file = write_overview(own, candidate.name, map_.overview, kind=kind)
+            assert file.read_bytes() == (folder / file.name).read_bytes()  # sums are rounded once
 
 
 HAS_KISS = find_spec("kiss_matcher") is not None
@@ -142,7 +155,10 @@ def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case)
         np.savetxt(tmp_path / "points.txt", rows, fmt=["p%d", *6 * ["%.6f"]])
         case = {"register": f"points:{tmp_path / 'points.txt'}"}
     pair = pair_of(tmp_path / "pair", **case)
-    check_equal(pair.tiled(tile_points=300), pair.memory())
+    expected, maps = pair.memory(), tmp_path / "maps" if "crop" in case else None
+    check_equal(pair.tiled(maps=maps, tile_points=300), expected)
+    if maps is not None:
+        check_rasters(maps, expected)
 
 
 @pytest.mark.long

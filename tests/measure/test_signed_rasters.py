@@ -1,0 +1,54 @@
+"""The rasters of a comparison in memory: distances with signs, seen from above."""
+
+import numpy as np
+import pytest
+
+from pcbench import Cloud, compare
+
+LEVELS = (-0.2, 0.5)  # heights of the western and the eastern half of the candidate above the reference
+
+
+def grid(west, count, spacing):
+    return west + spacing * (np.arange(count) + 0.5)
+
+
+def terraces(normals=None):
+    """Return a plane of 10 x 10 with its normals, and a candidate whose halves are below and above it."""
+    x, y = (values.ravel() for values in np.meshgrid(grid(0, 40, 0.25), grid(0, 40, 0.25)))
+    flat = np.column_stack([x, y, np.zeros_like(x)])
+    lifted = flat + [0.0, 0.0, 1.0] * np.where(x < 5, *LEVELS)[:, None]
+    return Cloud(flat, normals=None if normals is None else np.tile(normals, (len(flat), 1))), Cloud(lifted)
+
+
+@pytest.mark.parametrize("normals", [None, [0, 0, 1.0], [0, 0, -1.0]], ids=["estimated", "up", "down"])
+def test_the_candidate_is_above_where_the_raster_is_positive(normals):
+    reference, lifted = terraces(normals)
+    (candidate,) = compare(reference, lifted, register="none")
+    for map_ in (candidate.deviation, candidate.completeness):
+        raster = map_.overview
+        assert raster.count.sum() == 1600
+        assert np.isfinite(raster.signed).all()
+        middle = raster.signed.shape[1] // 2
+        west, east = raster.signed[:, : middle - 2], raster.signed[:, middle + 2 :]
+        # Estimated normals are vertical within the rounding of an eigenvector, relative to 0.5.
+        np.testing.assert_allclose(west, LEVELS[0], rtol=1e-6)
+        np.testing.assert_allclose(east, LEVELS[1], rtol=1e-6)
+        np.testing.assert_allclose(raster.mean[:, middle + 2 :], LEVELS[1], rtol=1e-12)  # rounding of one sum
+
+
+@pytest.mark.parametrize("front", [-1.0, 1.0])
+def test_given_normals_say_which_side_of_a_wall_is_its_front(front):
+    y, z = (values.ravel() for values in np.meshgrid(grid(0, 40, 0.25), grid(0, 40, 0.25)))
+    tilt = -0.01  # downwards, but nearly horizontal
+    wall = Cloud(np.column_stack([0 * y, y, z]), normals=np.tile([front, 0.0, tilt] / np.hypot(1, tilt), (1600, 1)))
+    (candidate,) = compare(wall, Cloud(wall.points + [0.1, 0, 0]), register="none")
+    signed = candidate.deviation.overview.signed
+    # The cosine of the tilt differs from 1 by 5e-5.
+    np.testing.assert_allclose(signed[np.isfinite(signed)], 0.1 * front, rtol=1e-4)
+
+
+def test_without_planes_the_sign_is_unknown():
+    (candidate,) = compare(np.eye(3)[:2], np.eye(3), register="none")
+    raster = candidate.deviation.overview
+    assert np.isnan(raster.signed).all()
+    assert raster.count.sum() == 3
