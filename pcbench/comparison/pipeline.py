@@ -214,7 +214,7 @@ def _crs_warnings(reference: str | None, candidate: str | None) -> Iterator[Noti
         yield Notice(
             "other-crs",
             f"the candidate's coordinate system ({crs_name(candidate)}) is not the reference's"
-            f" ({crs_name(reference)}): convert the candidate with pcbench convert FILE OUT --crs"
+            f" ({crs_name(reference)}): convert the candidate with pcbench convert FILE OUT --to-crs"
             f" {crs_argument(reference)}",
         )
 
