@@ -89,6 +89,7 @@ def register(
     matrix:FILE.
     """
     from pcbench.geometry.crs import check_lengths
+    from pcbench.geometry.datums import StatedSystem
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
@@ -121,7 +122,7 @@ def register(
                 warn_unless(quiet)(text)
             check_lengths(shape, str(source.path))
             shapes.append(shape)
-            files.append(InputFile(str(source.path), sha256, tuple(texts)))
+            files.append(InputFile(str(source.path), sha256, tuple(texts), StatedSystem.of(shape.crs, shape.unit)))
         fixed, moved = shapes
         step("registering")
         result = register_clouds(fixed, moved, method)
@@ -198,6 +199,7 @@ def info(clouds: tuple[Path, ...]) -> None:
 def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.crs import axis_units, crs_label, is_in_degrees, projection_command
+    from pcbench.geometry.datums import StatedSystem
     from pcbench.geometry.mesh_samples import vertex_cloud
     from pcbench.geometry.neighbors import Index
     from pcbench.geometry.sampling import sampling_of
@@ -249,6 +251,8 @@ def _print_info(path: Path) -> None:
     colours = "no" if cloud.colors is None else f"yes (stored with {depth} bits)" if depth else "yes"
     click.echo(f", colours {colours}", nl=False)
     click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
+    if cloud.crs is not None:
+        click.echo(f"  {StatedSystem.of(cloud.crs, cloud.unit).describe_datums()}")
     attributes = list(cloud.attributes)
     if (splats := splat_model(cloud)) is not None:
         degree = "unknown" if splats.sh_degree is None else splats.sh_degree

@@ -8,7 +8,15 @@ from typing import Any
 import click
 
 from pcbench.cli.messages import steps, warn_unless
-from pcbench.cli.options import FILE, POSITIVE, color_depth_option, las_options, quiet_option, splat_options
+from pcbench.cli.options import (
+    FILE,
+    POSITIVE,
+    accuracy_option,
+    color_depth_option,
+    las_options,
+    quiet_option,
+    splat_options,
+)
 from pcbench.options import parse_integers, parse_returns
 
 
@@ -28,12 +36,7 @@ from pcbench.options import parse_integers, parse_returns
     metavar="CRS",
     help="Transform to this coordinate system; heights too if it has some, such as EPSG:32617+5703.",
 )
-@click.option(
-    "--accuracy",
-    type=POSITIVE,
-    metavar="METRES",
-    help="With --to-crs: accept a transformation this accurate if the grid of the best one is not installed.",
-)
+@accuracy_option("--to-crs")
 @click.option(
     "--unit",
     metavar="UNIT",

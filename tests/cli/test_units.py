@@ -34,6 +34,10 @@ def degrees(tmp_path, monkeypatch):
         ("compare", "b.las", "a.ply", "--register", "none", "--tiles", "1000"),
         ("register", "b.las", "a.ply"),
         ("deform", "b.las", "a.ply"),
+        ("tradeoff", "a.ply", "b.las", "--out", "tradeoff"),
+        ("stress", "a.ply", "b.las", "--out", "stress"),
+        ("synth", "warp", "a.ply", "warped.ply"),
+        ("plot", "b.las", "--out", "picture.png"),
     ],
 )
 def test_degrees_are_not_measured(degrees, run, words):
