@@ -171,8 +171,8 @@ def convert(
                 data = state_unit(data, unit, z_unit, warn_of_system)
             if to_crs is not None:
                 data, operation, operation_accuracy = project(data, to_crs, warn_of_system, accuracy=accuracy)
-                known = "accuracy not stated" if operation_accuracy is None else f"accuracy {operation_accuracy:.3g} m"
-                lines.append(f"transformed by {operation}, {known}")
+                stated = "accuracy not stated" if operation_accuracy is None else f"accuracy {operation_accuracy:.3g} m"
+                lines.append(f"transformed by {operation}, {stated}")
             if to_unit is not None:
                 data = convert_unit(data, to_unit)
         step(f"writing {out}")

@@ -131,13 +131,13 @@ write_cameras_option = click.option(
 )
 
 
-def accuracy_option(of: str) -> Callable[[_Command], _Command]:
+def accuracy_option(target: str) -> Callable[[_Command], _Command]:
     """Return the option for the accuracy of a transformation between coordinate systems.
 
     Args:
-        of: the option that names the new system.
+        target: the option that names the new system.
     """
-    help = f"With {of}: accept a transformation this accurate if the grid of the best one is not installed."
+    help = f"With {target}: accept a transformation this accurate if the grid of the best one is not installed."
     return click.option("--accuracy", type=POSITIVE, metavar="METRES", help=help)
 
 

@@ -347,6 +347,15 @@ def horizontal_crs(crs: Any) -> Any:
     return crs.sub_crs_list[0] if crs.sub_crs_list else crs
 
 
+def without_heights(text: str) -> str:
+    """Return the text of the CRS of x and y of a CRS; the text itself if pyproj does not know it."""
+    crs = parse_crs(text)
+    if crs is None or len(crs.axis_info) < 3 or crs.is_geocentric or horizontal_crs(crs).is_engineering:
+        return text
+    plane = horizontal_crs(crs).to_2d()
+    return _code(plane) or str(plane.to_wkt())
+
+
 def with_ellipsoidal_heights(text: str) -> str:
     """Return the text of a known CRS with heights above its ellipsoid: codes such as EPSG:32617+4979, or WKT."""
     from pyproj import CRS

@@ -31,12 +31,12 @@ class StatedSystem:
     @classmethod
     def of(cls, crs: str | None, unit: str | None) -> StatedSystem:
         """Return the system of a CRS, or of coordinates in a unit. Without pyproj, the datums are unknown."""
-        known, units = None if crs is None else parse_crs(crs), axis_units(crs)
+        system, units = None if crs is None else parse_crs(crs), axis_units(crs)
         label = None if crs is None else crs_label(crs)
-        if known is None or units is None:
+        if system is None or units is None:
             return cls(label, unit, unit)
-        z_unit = units.height or (None if horizontal_crs(known).is_geographic else units.horizontal)
-        return cls(label, units.horizontal, z_unit, _horizontal_datum(known), _vertical_datum(known))
+        z_unit = units.height or (None if horizontal_crs(system).is_geographic else units.horizontal)
+        return cls(label, units.horizontal, z_unit, _horizontal_datum(system), _vertical_datum(system))
 
     def describe(self) -> str:
         """Return the system, its units and its datums in words."""

@@ -19,12 +19,12 @@ from pcbench.geometry.crs import (
     horizontal_crs,
     is_geographic_crs,
     is_in_degrees,
-    is_known_crs,
     known_crs,
     same_crs,
     single_unit,
     unnamed_grid,
     with_units,
+    without_heights,
 )
 from pcbench.geometry.transform import Affine
 from pcbench.geometry.units import metres, unit_of_length
@@ -173,11 +173,7 @@ def _check_degrees(cloud: Cloud, crs: str) -> None:
 
 def _is_refined(file: str, crs: str) -> bool:
     """Return whether a CRS is that of a file, or adds heights to it."""
-    if same_crs(file, crs):
-        return True
-    new = horizontal_crs(known_crs(crs))
-    has_heights = is_known_crs(file) and len(known_crs(file).axis_info) > 2
-    return not has_heights and same_crs(file, (new if new.is_geocentric else new.to_2d()).to_wkt())
+    return same_crs(file, crs) or same_crs(file, without_heights(crs))
 
 
 def _is_same_unit(first: str | None, second: str | None) -> bool:

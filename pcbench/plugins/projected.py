@@ -87,7 +87,8 @@ def in_crs(reconstruction: Reconstruction, crs: str, *, accuracy: float | None =
             cameras[image] = _moved_camera(camera, tips[0, k], (tips[1:, k] - tips[0, k]).T / unit)
     moved = replace(cloud.moved(points, normals), crs=crs, unit=single_unit(crs, notes.append))
     notes = [f"warning: {line}" for line in dict.fromkeys(notes)]
-    notes.append(f"the cloud is in {name}; {_heights_note(crs)}")
+    notes += _heights_notes(crs)
+    notes.append(f"the cloud is in {name}")
     if cameras:
         notes.append(_camera_note(reconstruction, replace(reconstruction, cloud=moved, cameras=cameras), name))
     return replace(reconstruction, cloud=moved, cameras=cameras, notes=[*reconstruction.notes, *notes], origin=None)
@@ -127,14 +128,14 @@ def _unit(crs: str) -> float:
     return lengths[0]
 
 
-def _heights_note(crs: str) -> str:
-    system = StatedSystem.of(crs, None)
-    if system.vertical_datum is None:
-        return "its heights are GPS altitudes: above the ellipsoid or above sea level, as the camera wrote them"
-    return (
-        f"its heights ({system.vertical_datum}) are right if the GPS altitudes are above the ellipsoid; many cameras"
-        " write heights above sea level"
-    )
+def _heights_notes(crs: str) -> list[str]:
+    """Return what the heights are, because cameras write altitudes above the ellipsoid or above sea level."""
+    if StatedSystem.of(crs, None).vertical_datum is None:
+        return ["heights are GPS altitudes: above the ellipsoid or above sea level, as the camera wrote them"]
+    return [
+        "warning: the heights are right only if the GPS altitudes are above the ellipsoid; many cameras write heights"
+        " above sea level"
+    ]
 
 
 def _camera_note(before: Reconstruction, after: Reconstruction, name: str) -> str:
