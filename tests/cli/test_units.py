@@ -1,5 +1,6 @@
 """Degrees, units and coordinate systems on the command line and in Python."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from wording import check_error, check_text
 import pcbench
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.crs import axis_units
+from pcbench.geometry.datums import StatedSystem
 from pcbench.measure.tiled.settings import TilingSettings
 
 
@@ -36,7 +38,7 @@ def degrees(tmp_path, monkeypatch):
         ("deform", "b.las", "a.ply"),
         ("tradeoff", "a.ply", "b.las", "--out", "tradeoff"),
         ("stress", "a.ply", "b.las", "--out", "stress"),
-        ("synth", "warp", "a.ply", "warped.ply"),
+        ("synth", "warp", "a.ply", "warped.ply", "--kind", "dome", "--rms", "0.1"),
         ("plot", "b.las", "--out", "picture.png"),
     ],
 )
@@ -66,6 +68,12 @@ def test_projected_clouds_are_compared(degrees, run):
     assert run("convert", "b.las", "moved.las", "--to-crs", "EPSG:32617")[0] == 0
     found = pcbench.compare("ref.ply", "moved.las", register="none")
     assert found.reference.unit == "m"
+    found.save("report", figures=False)
+    values = json.loads(Path("report/comparison.json").read_text())
+    for file in (values["reference"], *values["candidates"]):
+        assert file["system"]["crs"] == "WGS 84 / UTM zone 17N (EPSG:32617)"
+        assert (file["system"]["unit"], file["system"]["vertical_datum"]) == ("m", None)
+    assert Path("report/report.html").read_text().count(StatedSystem.of("EPSG:32617", "m").describe()) == 2
     assert np.median(found.candidates[0].deviation.scalars["distance"]) == pytest.approx(0.1, abs=1e-3)
     code, _, error = run("convert", "lonlat.xyz", "c.ply", "--crs", "EPSG:4326", "--to-crs", "EPSG:32617")
     assert (code, error) == (0, "")
