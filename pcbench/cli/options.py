@@ -131,6 +131,16 @@ write_cameras_option = click.option(
 )
 
 
+def accuracy_option(target: str) -> Callable[[_Command], _Command]:
+    """Return the option for the accuracy of a transformation between coordinate systems.
+
+    Args:
+        target: the option that names the new system.
+    """
+    help = f"With {target}: accept a transformation this accurate if the grid of the best one is not installed."
+    return click.option("--accuracy", type=POSITIVE, metavar="METRES", help=help)
+
+
 def wgs84_option(what: str) -> Callable[[_Command], _Command]:
     """Return the option that converts metres of Earth Studio's sphere to metres of WGS84."""
     help = f"Convert {what} from metres of Earth Studio's sphere to metres of WGS84."

@@ -11,6 +11,7 @@ from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
+    accuracy_option,
     cameras_option,
     image_scale_option,
     key_value,
@@ -78,6 +79,13 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     help="Folder for intermediate files, from which the next run resumes.  [default: OUT.work]",
 )
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time after which the reconstructor is stopped.")
+@click.option(
+    "--crs",
+    metavar="CRS",
+    help="Write cloud and cameras in this projected coordinate system, such as EPSG:32617, by GPS in EXIF or by cameras"
+    " with a known origin.",
+)
+@accuracy_option("--crs")
 @wgs84_option("cloud and cameras")
 @write_cameras_option
 @quiet_option
@@ -91,6 +99,8 @@ def reconstruct(
     image_scale: float,
     workspace: Path | None,
     time_limit: float | None,
+    crs: str | None,
+    accuracy: float | None,
     wgs84: bool,
     write_cameras: Path | None,
     quiet: bool,
@@ -104,6 +114,7 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.io.outputs import check_output
+    from pcbench.plugins.projected import check_georeferencing, in_crs
     from pcbench.plugins.run import ReconstructionJob, check_workspace, is_recorded_output, record_output, run
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.regular_files import is_regular_file
@@ -123,7 +134,15 @@ def reconstruct(
         check_cameras_output(write_cameras, scene)
     for file in filter(Path.exists, others):
         check_output(file, inputs)
-    sphere = read_scene(scene, cameras=cameras, on_warning=lambda _: None).sphere_origin() if wgs84 else None
+    if accuracy is not None and crs is None:
+        raise click.UsageError("--accuracy needs --crs, the coordinate system of the cloud")
+    sphere = None
+    if wgs84 or crs is not None:
+        photographs = read_scene(scene, cameras=cameras, on_warning=lambda _: None)
+        if crs is not None:
+            check_georeferencing(photographs, crs, accuracy)
+        if wgs84 or photographs.on_sphere:
+            sphere = photographs.sphere_origin()
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
     click.get_current_context().with_resource(lock_output(out))
     with steps(quiet) as step:
@@ -131,13 +150,15 @@ def reconstruct(
         check_workspace(work)
         result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
     for warning in result.warnings:
-        if not (wgs84 and "--wgs84" in warning):
+        if not (sphere is not None and "--wgs84" in warning):
             warn_unless(quiet)(warning)
     reconstruction = result.require_reconstruction()
     if sphere is not None and reconstruction.gauge == "georeferenced":
         reconstruction = in_wgs84(reconstruction, sphere)
     elif sphere is not None:
         warn(f"not converted to WGS84: the cloud has the gauge {reconstruction.gauge}, not the frame of the cameras")
+    if crs is not None:
+        reconstruction = in_crs(reconstruction, crs, accuracy=accuracy)
     write_cloud(out, reconstruction.cloud, on_warning=warn_unless(quiet))
     record_output(work, out)
     if write_cameras is not None and not reconstruction.cameras:

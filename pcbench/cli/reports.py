@@ -340,6 +340,7 @@ def _plot_cloud(
     path: Path, out: Path, look: Figures, scalar: str | None, scene: SceneFolder | None, *, quiet: bool
 ) -> None:
     """Draw the cloud or the mesh in a file."""
+    from pcbench.geometry.crs import check_lengths
     from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
@@ -365,6 +366,7 @@ def _plot_cloud(
         if cloud is None or (source.holds_mesh and scalar is None and not has_colors(cloud.colors)):
             mesh = source.read_mesh(warn_reader)
             name, cloud = f"{name}, {pluralize(len(mesh), 'face')}", mesh.sample(MESH_SAMPLES)
+        check_lengths(cloud, str(path))
         viewing = None
         if scene is not None:
             step("reading the cameras")

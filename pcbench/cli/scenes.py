@@ -213,6 +213,7 @@ def warp(
     height; twist rotates with height; subsidence is a local basin; drift bends the longest axis. Then the cloud is
     rotated and scaled about --about, and shifted.
     """
+    from pcbench.geometry.crs import check_lengths
     from pcbench.io import read_cloud
     from pcbench.io.outputs import check_output
     from pcbench.scenes.synthetic.warp import make_warp, record_path, similarity_from_angles, write_warped
@@ -226,6 +227,7 @@ def warp(
     with steps(quiet) as step:
         step(f"reading {cloud}")
         data = read_cloud(cloud, on_warning=warn_unless(quiet))
+        check_lengths(data, str(cloud))
         lower, upper = data.bounds
         pivot = center or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
         motion = similarity_from_angles(angles, offset, scale, pivot)

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 from pcbench.changes import Changes
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
-from pcbench.geometry.crs import crs_argument, crs_name, same_crs
+from pcbench.geometry.crs import crs_argument, crs_name, same_crs, without_heights
 from pcbench.measure.budget import consistent_with
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.differences import paired_differences
@@ -195,7 +195,7 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
         steps=pair.steps,
         warnings=(
             *pair.sampling_notices,
-            *_crs_warnings(reference.crs, pair.crs),
+            *crs_warnings(reference.crs, pair.crs),
             *measurement.warnings,
             *pair.warnings(deviation),
         ),
@@ -208,13 +208,25 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
     return candidate, measurement
 
 
-def _crs_warnings(reference: str | None, candidate: str | None) -> Iterator[Notice]:
+def crs_warnings(reference: str | None, candidate: str | None) -> Iterator[Notice]:
     """Yield a warning if the coordinate systems of two clouds differ."""
-    if reference and candidate and not same_crs(reference, candidate):
+    if not (reference and candidate) or same_crs(reference, candidate):
+        return
+    planes = without_heights(reference), without_heights(candidate)
+    if same_crs(*planes) and (reference == planes[0] or candidate == planes[1]):
+        lacking, stating, crs = "candidate", "reference", reference
+        if reference == planes[0]:
+            lacking, stating, crs = "reference", "candidate", candidate
+        yield Notice(
+            "other-crs",
+            f"the datum of the {lacking}'s heights is not stated, the {stating} is in {crs_name(crs)}: if their heights"
+            f" have one datum, state it with pcbench convert FILE OUT --crs {crs_argument(crs)}",
+        )
+    else:
         yield Notice(
             "other-crs",
             f"the candidate's coordinate system ({crs_name(candidate)}) is not the reference's"
-            f" ({crs_name(reference)}): convert the candidate with pcbench convert FILE OUT --crs"
+            f" ({crs_name(reference)}): convert the candidate with pcbench convert FILE OUT --to-crs"
             f" {crs_argument(reference)}",
         )
 

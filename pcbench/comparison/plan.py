@@ -17,6 +17,7 @@ from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import package_version
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths, is_in_degrees
+from pcbench.geometry.datums import StatedSystem
 from pcbench.io.contents import FileState, file_states
 from pcbench.io.pieces import CloudOnDisk, read_piece
 from pcbench.io.source import Source
@@ -93,7 +94,12 @@ class CloudsOnDisk:
     def input_files(self) -> tuple[InputFile, dict[str, InputFile]]:
         """Return the records of the reference and of the candidates."""
         reference, *candidates = (
-            InputFile(str(source.path), source.digest(self.contents), cloud.warnings)
+            InputFile(
+                str(source.path),
+                source.digest(self.contents),
+                cloud.warnings,
+                StatedSystem.of(cloud.crs, cloud.unit),
+            )
             for source, cloud in zip(self.sources, self.clouds, strict=True)
         )
         return reference, dict(zip(self.candidates, candidates, strict=True))

@@ -19,6 +19,7 @@ from pcbench.comparison.workspace import default_workspaces, first_free_workspac
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
+from pcbench.geometry.datums import StatedSystem
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike
@@ -255,7 +256,7 @@ def _read(given: Input, step: Callable[[str], None]) -> tuple[Cloud | Mesh, Inpu
     texts: list[str] = []
     shape, sha256 = given.read_with_digest(texts.append)
     check_lengths(shape, str(given.path))
-    return shape, InputFile(str(given.path), sha256, tuple(texts))
+    return shape, InputFile(str(given.path), sha256, tuple(texts), StatedSystem.of(shape.crs, shape.unit))
 
 
 def _inputs(

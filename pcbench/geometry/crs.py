@@ -45,12 +45,11 @@ def same_crs(first: str, second: str) -> bool:
 
 
 def crs_name(text: str) -> str:
-    """Return a short name for messages: the authority code, or else the name of the CRS."""
+    """Return a short name for messages: the code, such as EPSG:32617 or EPSG:32617+5703, or else the CRS's name."""
     crs = parse_crs(text)
     if crs is None:
         return text if len(text) <= 40 else f"{text[:37]}..."
-    authority = crs.to_authority(min_confidence=100)
-    return ":".join(authority) if authority else str(crs.name)
+    return _code(crs) or str(crs.name)
 
 
 def crs_argument(text: str) -> str:
@@ -66,8 +65,8 @@ def crs_label(text: str) -> str:
     """
     crs = parse_crs(text)
     if crs is not None:
-        code = crs.to_authority(min_confidence=100)
-        line = f"{crs.name} ({':'.join(code)})" if code else str(crs.name)
+        code = _code(crs)
+        line = f"{crs.name} ({code})" if code else str(crs.name)
     else:
         quoted = re.match(r'\s*\w+\s*\[\s*"([^"]+)"', text)
         line = quoted[1] if quoted else text
@@ -85,7 +84,7 @@ def is_projected_crs(text: str | None) -> bool:
     crs = None if text is None else parse_crs(text)
     if crs is None:
         return False
-    return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
+    return bool(horizontal_crs(crs).is_projected)
 
 
 def is_geographic_crs(text: str | None) -> bool:
@@ -93,7 +92,7 @@ def is_geographic_crs(text: str | None) -> bool:
     crs = None if text is None else parse_crs(text)
     if crs is None:
         return text is not None and _GEOGRAPHIC_TEXT.match(text) is not None
-    return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_geographic)
+    return bool(horizontal_crs(crs).is_geographic)
 
 
 def single_unit(crs: str | None, warn: Callable[[str], None]) -> str | None:
@@ -104,7 +103,7 @@ def single_unit(crs: str | None, warn: Callable[[str], None]) -> str | None:
     if units.are_mixed:
         warn(
             f"x and y are in {units.horizontal}, z is in {units.height}, so distances have no unit: convert them with"
-            f" pcbench convert FILE OUT --unit {units.horizontal}"
+            f" pcbench convert FILE OUT --to-unit {units.horizontal}"
         )
         return None
     return units.horizontal
@@ -130,8 +129,8 @@ def check_lengths(cloud: Located, name: str) -> None:
 
 def projection_command(crs: str | None, longitude: float, latitude: float) -> str:
     """Return a command that projects a cloud in degrees at a place."""
-    source = "" if crs else " --from-crs EPSG:4326"
-    return f"pcbench convert FILE OUT{source} --crs {suggested_crs(crs, longitude, latitude)}"
+    source = "" if crs else " --crs EPSG:4326"
+    return f"pcbench convert FILE OUT{source} --to-crs {suggested_crs(crs, longitude, latitude)}"
 
 
 def degrees_hint(low: FloatArray, high: FloatArray) -> str | None:
@@ -212,17 +211,19 @@ def with_units(text: str, horizontal: str, height: str | None) -> str:
     Args:
         text: a projected or geographic CRS that pyproj knows, alone or with a vertical one.
         horizontal: unit of x and y; degrees stay.
-        height: unit of z; None: the CRS has no heights. If it had none before, their datum is unknown.
+        height: unit of z; None: the CRS has no heights, or they are in the unit of x and y. If it had none before,
+            their datum is unknown.
 
     Raises:
-        ValueError: pyproj is not installed or does not know the CRS.
+        InputError: pyproj does not know the CRS.
+        MissingExtra: pyproj is not installed.
     """
     from pyproj import CRS
 
-    crs = _known(text)
+    crs = known_crs(text)
     below, *above = crs.sub_crs_list or [crs]
-    parts = [below if below.is_geographic else _in_unit(below, horizontal)]
-    if height is not None:
+    parts = [_in_unit(below, horizontal, height)]
+    if height is not None and len(below.axis_info) < 3:
         parts.append(_in_unit(above[0] if above else CRS.from_json_dict(_UNKNOWN_HEIGHTS), height))
     if len(parts) == 1:
         return str(parts[0].to_wkt())
@@ -239,19 +240,30 @@ def unnamed_grid(horizontal: str, height: str) -> str:
     return f'ENGCRS["user-defined",EDATUM["user-defined"],CS[Cartesian,3],{listed}]'
 
 
-def _in_unit(crs: Any, unit: str) -> Any:
-    """Return a CRS with its axes in a unit of length, or the CRS itself if they are, or if the unit is unknown."""
+def _in_unit(crs: Any, unit: str, height: str | None = None) -> Any:
+    """Return a CRS with its axes in units of length, or the CRS itself if they are, or if the units are unknown.
+
+    Args:
+        crs: the CRS, not compound.
+        unit: unit of the axes that are lengths.
+        height: unit of the third axis, if it differs.
+    """
     from pyproj import CRS
 
-    length = metres(unit)
-    if length is None or all(abs(axis.unit_conversion_factor / length - 1) < 1e-9 for axis in crs.axis_info):
+    units = [unit, unit, height or unit][: len(crs.axis_info)]
+    values, is_changed = crs.to_json_dict(), False
+    for axis, name, given in zip(values["coordinate_system"]["axis"], units, crs.axis_info, strict=True):
+        length = metres(name)
+        if length is None or given.unit_name in ("degree", "grad", "radian"):
+            continue
+        if abs(given.unit_conversion_factor / length - 1) >= 1e-9:
+            axis["unit"] = {"type": "LinearUnit", "name": _LONG_NAMES.get(name, name), "conversion_factor": length}
+            is_changed = True
+    if not is_changed:
         return crs
-    values = crs.to_json_dict()
     values.pop("id", None)
-    name = re.sub(r" \((m|ft|ftUS|US-ft)\)$", "", crs.name)
-    values["name"] = f"{name} ({unit})"
-    for axis in values["coordinate_system"]["axis"]:
-        axis["unit"] = {"type": "LinearUnit", "name": _LONG_NAMES.get(unit, unit), "conversion_factor": length}
+    label = (height if crs.is_geographic else None) or unit
+    values["name"] = f"{re.sub(r' [(](m|ft|ftUS|US-ft)[)]$', '', crs.name)} ({label})"
     return CRS.from_json_dict(values)
 
 
@@ -290,6 +302,7 @@ def epsg_codes(text: str) -> EpsgCodes | None:
     if crs is None:
         return None
     below, *above = crs.sub_crs_list or [crs]
+    below = below if below.is_geocentric or len(below.axis_info) < 3 else below.to_2d()
     code = below.to_epsg(min_confidence=100)
     if code is None or not (below.is_projected or below.is_geographic):
         return None
@@ -331,7 +344,7 @@ def horizontal_wkt(text: str) -> str | None:
     The result is the first of ESRI's WKT 1, GDAL's WKT 1, and WKT 2 that defines the same system.
     """
     crs = parse_crs(text)
-    crs = crs.sub_crs_list[0] if crs is not None and crs.sub_crs_list else crs
+    crs = None if crs is None else horizontal_crs(crs)
     if crs is None or crs.is_geocentric:
         return None
     from pyproj import CRS
@@ -349,9 +362,10 @@ def wkt2(text: str) -> str:
     """Return a known CRS as WKT 2.
 
     Raises:
-        ValueError: pyproj is not installed or does not know the CRS.
+        InputError: pyproj does not know the CRS.
+        MissingExtra: pyproj is not installed.
     """
-    return str(_known(text).to_wkt("WKT2_2019"))
+    return str(known_crs(text).to_wkt("WKT2_2019"))
 
 
 def to_wgs84(text: str, positions: FloatArray) -> FloatArray | None:
@@ -366,9 +380,7 @@ def to_wgs84(text: str, positions: FloatArray) -> FloatArray | None:
     from pyproj.exceptions import ProjError
 
     try:
-        transformer = Transformer.from_crs(
-            crs.sub_crs_list[0] if crs.sub_crs_list else crs, "EPSG:4326", always_xy=True
-        )
+        transformer = Transformer.from_crs(horizontal_crs(crs), "EPSG:4326", always_xy=True)
         degrees = np.stack(transformer.transform(positions[:, 0], positions[:, 1]), axis=1)
     except ProjError:
         return None
@@ -385,7 +397,7 @@ def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
     crs = parse_crs(text)
     if crs is None:
         return None
-    crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
+    crs = horizontal_crs(crs)
     if not crs.is_projected:
         return None
     from pyproj import Transformer
@@ -401,10 +413,52 @@ def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
     return offsets
 
 
-def _known(text: str) -> Any:
+def horizontal_crs(crs: Any) -> Any:
+    """Return the `pyproj.CRS` of x and y: the first part of a compound CRS, or the CRS itself."""
+    return crs.sub_crs_list[0] if crs.sub_crs_list else crs
+
+
+def without_heights(text: str) -> str:
+    """Return the text of the CRS of x and y of a CRS; the text itself if pyproj does not know it."""
+    crs = parse_crs(text)
+    if crs is None or len(crs.axis_info) < 3 or crs.is_geocentric or horizontal_crs(crs).is_engineering:
+        return text
+    plane = horizontal_crs(crs).to_2d()
+    return _code(plane) or str(plane.to_wkt())
+
+
+def with_ellipsoidal_heights(text: str) -> str:
+    """Return the text of a known CRS with heights above its ellipsoid: codes such as EPSG:32617+4979, or WKT."""
+    from pyproj import CRS
+
+    crs = known_crs(text).to_3d()
+    code = _code(crs)
+    return code if code is not None and CRS(code) == crs else str(crs.to_wkt())
+
+
+def _code(crs: Any) -> str | None:
+    """Return the authority code of a CRS, or those of its parts, such as EPSG:32617+5703; None if one has none."""
+    if authority := crs.to_authority(min_confidence=100):
+        return ":".join(authority)
+    if crs.is_projected and len(crs.axis_info) == 3 and not crs.sub_crs_list:  # with ellipsoidal heights
+        parts = [crs.to_2d(), crs.geodetic_crs.to_3d()]
+    elif not (parts := crs.sub_crs_list):
+        return None
+    codes = [part.to_epsg(min_confidence=100) for part in parts]
+    return f"EPSG:{'+'.join(map(str, codes))}" if all(codes) else None
+
+
+def known_crs(text: str) -> Any:
+    """Return the `pyproj.CRS` of a text.
+
+    Raises:
+        InputError: pyproj does not know it.
+        MissingExtra: pyproj is not installed.
+    """
+    require("pyproj")
     crs = parse_crs(text)
     if crs is None:
-        raise ValueError(f"expected a CRS that pyproj knows, got {text[:60]!r}")
+        raise InputError(f"expected a coordinate system that pyproj knows, such as EPSG:32617, got {text[:60]!r}")
     return crs
 
 

@@ -47,6 +47,17 @@ def enu_from_wgs84(positions: Sequence[Gps] | FloatArray, origin: Gps) -> FloatA
     return enu
 
 
+def ecef_from_enu(positions: FloatArray, origin: Gps) -> FloatArray:
+    """Return earth-centred coordinates (N, 3) in metres of WGS84 (EPSG:4978), the inverse of `enu_from_wgs84`.
+
+    Args:
+        positions: (N, 3) east, north and up in metres, relative to the tangent plane of the ellipsoid at `origin`.
+        origin: origin of the local frame; its altitude is taken as an ellipsoidal height.
+    """
+    centred: FloatArray = positions @ enu_axes(origin) + _ecef_from_geodetic([origin])
+    return centred
+
+
 def enu_axes(origin: Gps) -> FloatArray:
     """Return east, north and up at a position as rows (3, 3), in earth-centred axes."""
     latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)

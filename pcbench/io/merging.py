@@ -46,14 +46,14 @@ def common_crs(stated: Sequence[StatedCrs], warn: Warn) -> tuple[str | None, str
             if not same_crs(crs.crs, one.crs):
                 raise InputError(
                     f"expected files in one coordinate reference system, got {crs_name(crs.crs)} in {crs.path} and"
-                    f" {crs_name(one.crs)} in {one.path}: convert one with pcbench convert FILE OUT --crs"
+                    f" {crs_name(one.crs)} in {one.path}: convert one with pcbench convert FILE OUT --to-crs"
                     f" {crs_argument(crs.crs)}"
                 )
             same.add(one.crs)
         if one.unit not in (unit.unit, None):
             raise InputError(
                 f"expected files in one unit, got {unit.unit} in {unit.path} and {one.unit} in {one.path}:"
-                f" convert one with pcbench convert FILE OUT --unit {unit.unit}"
+                f" convert one with pcbench convert FILE OUT --to-unit {unit.unit}"
             )
     without = [one for one in stated if one.crs is None]
     if crs.crs is not None and without:

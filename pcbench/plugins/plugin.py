@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import math
 import re
 import sys
 import types
@@ -21,6 +22,7 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.geodesy import Gps
 from pcbench.registration import SurveyResiduals
 from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
@@ -44,6 +46,8 @@ class Reconstruction:
         notes: remarks for the user, such as images that were left out, one line each. A note that starts with
             "warning: " means that the result may be wrong, and is displayed as a warning.
         residuals: residuals at surveyed points.
+        origin: geographic position of (0, 0, 0) if the frame is east-north-up in metres, such as that of GPS positions
+            (`Scene.gps_origin`) or of cameras with a known origin (`Scene.origin`); None if it is another or unknown.
 
     Raises:
         InputError: a value has the wrong type, or the gauge is unknown.
@@ -54,6 +58,7 @@ class Reconstruction:
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     notes: Sequence[str] = ()
     residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
+    origin: Gps | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.cloud, Cloud):
@@ -64,6 +69,18 @@ class Reconstruction:
         object.__setattr__(self, "cameras", cameras)
         if not isinstance(cameras, Mapping) or not all(isinstance(c, Camera) for c in cameras.values()):
             raise InputError("expected cameras as a mapping from image names to pcbench.geometry.cameras.Camera")
+        if self.origin is not None:
+            object.__setattr__(self, "origin", _checked_origin(self.origin))
+
+
+def _checked_origin(origin: Any) -> Gps:
+    try:
+        checked = Gps(*map(float, origin))
+    except (TypeError, ValueError):
+        raise InputError(f"expected the origin as latitude, longitude and altitude, got {origin!r}") from None
+    if not (all(map(math.isfinite, checked)) and abs(checked.latitude_deg) <= 90):
+        raise InputError(f"expected a latitude from -90 to 90 degrees and finite numbers as the origin, got {origin!r}")
+    return checked
 
 
 @runtime_checkable

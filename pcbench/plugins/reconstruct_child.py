@@ -81,7 +81,8 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
         write_colmap_model(workspace / CAMERAS, list(result.cameras.values()))
     notes = [str(note) for note in result.notes]
     survey = {"survey": result.residuals.plain()} if result.residuals else {}
-    return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes, **survey}
+    origin = {} if result.origin is None else {"origin": list(result.origin)}
+    return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes, **survey, **origin}
 
 
 def _peak_gpu_bytes() -> int | None:

@@ -250,7 +250,8 @@ def read_reconstruction(workspace: Path) -> Reconstruction:
         residuals = SurveyResiduals.from_plain(outcome["survey"]) if "survey" in outcome else SurveyResiduals()
     except (KeyError, TypeError) as error:
         raise ValueError(f"{workspace / OUTCOME}: the residuals of surveyed points are damaged: {error}") from error
-    return Reconstruction(cloud, outcome["gauge"], {c.name: c for c in cameras}, tuple(outcome["notes"]), residuals)
+    by_name = {camera.name: camera for camera in cameras}
+    return Reconstruction(cloud, outcome["gauge"], by_name, tuple(outcome["notes"]), residuals, outcome.get("origin"))
 
 
 @dataclass(frozen=True)

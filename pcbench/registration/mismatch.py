@@ -44,21 +44,23 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     reasons, command = [], ""
     if first and second and _unit_key(first) != _unit_key(second):
         reasons.append(f"the files state different units (reference {first}, candidate {second})")
-        command = f" --unit {first}"
+        command = f" --to-unit {first}"
     if reference.crs and candidate.crs and not same_crs(reference.crs, candidate.crs):
         names = f"(reference {crs_name(reference.crs)}, candidate {crs_name(candidate.crs)})"
         reasons.append(f"the files state different coordinate systems {names}")
-        command = f" --crs {crs_argument(reference.crs)}"
+        command = f" --to-crs {crs_argument(reference.crs)}"
     if not reasons and not (first and second) and (suspected := _suspected_units(ratio)) is not None:
         larger, other = ("candidate", "reference")[:: 1 if ratio > 1 else -1]
         reasons.append(
             f"the {larger} is about {suspected.factor:.4g} times as large as the {other}: is it in {suspected.smaller},"
             f" and the other in {suspected.larger}?"
         )
+        command = f" --unit {suspected.smaller} --to-unit {suspected.larger}"
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    remedy = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Convert one of them"
+    which = "it" if reasons[-1].endswith("?") else "the candidate"
+    remedy = f"Convert {which} with pcbench convert FILE OUT{command}"
     return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {remedy}{conversion}: "
 
 
@@ -74,7 +76,7 @@ def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float
     first, second = (metres(cloud.unit) for cloud in (reference, candidate))
     if first and second and abs(np.log(scale * first / second)) > _MAX_LOG_RATIO:
         text = f"the reference is in {reference.unit}, the candidate in {candidate.unit}: convert it with"
-        text += f" pcbench convert FILE OUT --unit {reference.unit}"
+        text += f" pcbench convert FILE OUT --to-unit {reference.unit}"
         return (Notice(UNIT_MISMATCH, text),)
     suspected = _suspected_units(ratio)
     if suspected is None or abs(abs(np.log(ratio)) - np.log(suspected.factor)) > _MAX_LOG_RATIO:

@@ -17,6 +17,7 @@ import numpy as np
 from pcbench.deformation import Deformation
 from pcbench.extras import package_version
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.datums import StatedSystem
 from pcbench.io.json_values import json_values
 from pcbench.measure.deviation import M3C2
 from pcbench.measure.presets import Preset
@@ -88,7 +89,7 @@ def deformation_values(deformation: Deformation) -> dict[str, Any]:
 
 
 def _file(file: InputFile | None) -> dict[str, Any]:
-    return {"path": None, "sha256": None, "warnings": []} if file is None else asdict(file)
+    return {"path": None, "sha256": None, "warnings": [], "system": None} if file is None else asdict(file)
 
 
 def _reference(comparison: FinishedComparison) -> dict[str, Any]:
@@ -98,6 +99,7 @@ def _reference(comparison: FinishedComparison) -> dict[str, Any]:
         **file_values,
         **{field.name: getattr(reference, field.name) for field in fields(reference)},
         "warnings": [*file_values["warnings"], *reference.warnings],
+        "system": asdict(StatedSystem.of(reference.crs, reference.unit)),
     }
 
 

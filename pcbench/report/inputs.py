@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pcbench.geometry.datums import StatedSystem
 from pcbench.measure.results import Candidate, Difference, ReferenceSummary, Tiling
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
@@ -15,11 +16,19 @@ from pcbench.report.viewing import SceneFolder, ViewingCameras
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file: its path as given, its digest (`pcbench.io.source.Source.digest`), and warnings of its reader."""
+    """An input file.
+
+    Attributes:
+        path: its path as given.
+        sha256: its digest (`pcbench.io.source.Source.digest`).
+        warnings: warnings of its reader.
+        system: the coordinate system, units and datums that it states; None for a file that is no cloud.
+    """
 
     path: str
     sha256: str
     warnings: tuple[str, ...] = ()
+    system: StatedSystem | None = None
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,12 @@ class Scene:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             resize_image(self.folder / name, folder / name, self.size(name))
 
+    @property
+    def gps_origin(self) -> Gps | None:
+        """Origin of the frame of `measured_positions`: the first position in EXIF; None without one, or in gps.txt."""
+        named = next((name for name in self.images if name in self.gps), None)
+        return None if self.positions or named is None else self.gps[named]
+
     def measured_positions(self) -> tuple[dict[str, FloatArray], str]:
         """Return the measured positions (3,) of images by name, in metres, and a description of their frame.
 
@@ -133,9 +139,9 @@ class Scene:
         """
         if self.positions:
             return dict(self.positions), "in the frame of gps.txt"
-        if not self.gps:
+        origin = self.gps_origin
+        if origin is None:
             return {}, ""
-        origin = self.gps[next(name for name in self.images if name in self.gps)]
         enu = enu_from_wgs84(list(self.gps.values()), origin)
         where = f"{origin.latitude_deg:.7f}, {origin.longitude_deg:.7f}, {origin.altitude:.2f} m"
         return dict(zip(self.gps, enu, strict=True)), f"east-north-up about {where}"

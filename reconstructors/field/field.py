@@ -158,6 +158,7 @@ class RadianceField:
             sparse.gauge,
             cameras,
             [*sparse.notes, *notes],
+            origin=sparse.origin,
         )
 
     def _max_vertices(self, pinholes: Mapping[str, Camera], initial_vertices: int) -> int:

@@ -18,6 +18,7 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
@@ -72,6 +73,7 @@ class _CameraSolution(NamedTuple):
     unit: str | None
     notes: Sequence[str]
     residuals: SurveyResiduals
+    origin: Gps | None
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,8 @@ class DenseMvs:
             progress("meshing")
             faces = write_mesh(fused_files(workspace), workspace / MESH, origin, cloud.unit)
             notes.append(f"Poisson mesh with {faces} faces: {workspace / MESH}")
-        return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes], solved.residuals)
+        notes = [*solved.notes, *notes]
+        return Reconstruction(cloud, solved.gauge, solved.cameras, notes, solved.residuals, solved.origin)
 
     def _solve_cameras(self, scene: Scene, workspace: Path) -> _CameraSolution:
         """Compute cameras and sparse points with `sfm`. With given cameras, one feature scale yields enough points.
@@ -203,9 +206,11 @@ class DenseMvs:
             notes.append(f"warning: no sparse points, so the given cameras cannot be checked: {error}")
             unit = None if scene.origin is None else "m"
             cameras = readable.cameras
-            return _CameraSolution(cameras, without_points(cameras), "georeferenced", unit, notes, SurveyResiduals())
+            sparse = without_points(cameras)
+            return _CameraSolution(cameras, sparse, "georeferenced", unit, notes, SurveyResiduals(), scene.origin)
         sparse = sparse_from_colmap(pycolmap.Reconstruction(workspace / _SFM / "model"), solved.cameras)
-        return _CameraSolution(solved.cameras, sparse, solved.gauge, solved.cloud.unit, solved.notes, solved.residuals)
+        unit, gauge = solved.cloud.unit, solved.gauge
+        return _CameraSolution(solved.cameras, sparse, gauge, unit, solved.notes, solved.residuals, solved.origin)
 
     def _plan_matching(self, scene: Scene, sparse: SparseModel) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
         """Choose the sources of each image and the matching plan; the notes name the images that are left out."""

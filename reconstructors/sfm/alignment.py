@@ -10,6 +10,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
+from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity, fit_similarity, robust_similarity
 from pcbench.plugins import Gauge
 from pcbench.registration import SurveyResiduals
@@ -26,13 +27,17 @@ _MAX_MISFIT_SHARE = 0.1
 
 
 class AlignedModel(NamedTuple):
-    """Model with the meaning of its frame, whether its unit is metres, notes, and residuals of survey points."""
+    """Model with the meaning of its frame, whether its unit is metres, notes, and residuals of survey points.
+
+    `origin` is the geographic position of (0, 0, 0) of an east-north-up frame; None if the frame is another.
+    """
 
     model: Any
     gauge: Gauge
     in_metres: bool
     notes: list[str]
     residuals: SurveyResiduals = SurveyResiduals()
+    origin: Gps | None = None
 
 
 def align(model: Any, scene: Scene, survey: ControlSurvey, requested: Align, refine: Refine) -> AlignedModel:
@@ -76,11 +81,13 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, requested: Align, ref
     if target == "control":
         model = adjust(model, survey.control, scene.image_scale, refine)
         notes.append(f"adjusted with fixed control points; {quality(model)}")
-    in_metres = target == "gps" or (target == "cameras" and scene.origin is not None)
+    origin = {"gps": scene.gps_origin, "cameras": scene.origin}.get(target)
+    in_metres = target == "gps" or origin is not None
     if target == "gps" and not scene.positions:
-        return AlignedModel(model, "georeferenced", in_metres, [*notes, *_unscored_note(survey)])
+        notes += _unscored_note(survey)
+        return AlignedModel(model, "georeferenced", in_metres, notes, origin=origin)
     residuals = survey.residuals(cameras_of(model), scene.image_scale)
-    return AlignedModel(model, "georeferenced", in_metres, notes, residuals)
+    return AlignedModel(model, "georeferenced", in_metres, notes, residuals, origin)
 
 
 def level_model(model: Any, notes: Sequence[str]) -> AlignedModel:

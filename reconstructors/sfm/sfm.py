@@ -134,7 +134,7 @@ class ColmapSfm:
             _undistort(workspace, working_images(scene, workspace))
         cloud, left_out = cloud_of(aligned.model, self.min_views, "m" if aligned.in_metres else None)
         cameras, notes_of_run = cameras_of(aligned.model), [*notes, *aligned.notes, *left_out]
-        return Reconstruction(cloud, aligned.gauge, cameras, notes_of_run, aligned.residuals)
+        return Reconstruction(cloud, aligned.gauge, cameras, notes_of_run, aligned.residuals, aligned.origin)
 
     def _triangulate_given(self, verified: Path, scene: Scene, workspace: Path, survey: ControlSurvey) -> AlignedModel:
         """Triangulate points from the given cameras, in their frame."""
@@ -148,7 +148,7 @@ class ColmapSfm:
             *ambiguity_warning(epipolar_agreement, "given"),
         ]
         residuals = survey.residuals(scene.cameras, scene.image_scale)
-        return AlignedModel(model, "georeferenced", scene.origin is not None, notes, residuals)
+        return AlignedModel(model, "georeferenced", scene.origin is not None, notes, residuals, scene.origin)
 
     def _solve_cameras(self, verified: Path, scene: Scene, workspace: Path, survey: ControlSurvey) -> AlignedModel:
         """Solve for cameras and points of the largest component, and align them to the world if possible."""

@@ -286,6 +286,7 @@ class GaussianSplatting:
             initial.gauge,
             cameras,
             [*initial.notes, *notes],
+            origin=initial.origin,
         )
 
     def _training_settings(self) -> tuple[object, ...]:

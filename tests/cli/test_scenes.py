@@ -72,7 +72,7 @@ def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
         "    gauge: str = 'georeferenced'\n"
         "    def reconstruct(self, scene, workspace):\n"
         "        points = np.stack([camera.position for camera in scene.cameras.values()])\n"
-        "        return Reconstruction(Cloud(points), self.gauge, scene.cameras)\n"
+        "        return Reconstruction(Cloud(points), self.gauge, scene.cameras, origin=scene.origin)\n"
     )
     code, out, err = run("scene", "photos", "--write-cameras", "sphere.json")
     assert code == 0
@@ -94,6 +94,17 @@ def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     np.testing.assert_allclose(matrices[:, :3, 3], wgs84, atol=1e-6)
     code, out, err = run(*arguments, "--set", "gauge=arbitrary")
     assert code == 0
+    check_text(err)
+    with_crs = (*arguments[:5], "--crs", "EPSG:32632", "--write-cameras", "made.json")  # implies metres of WGS 84
+    code, out, err = run(*with_crs)
+    assert code == 0, err
+    check_text(err)
+    cloud = read_cloud("cloud.ply")
+    assert (cloud.crs, cloud.unit) == ("EPSG:32632", "m")
+    matrices = np.array([frame["transform_matrix"] for frame in json.loads(Path("made.json").read_text())["frames"]])
+    np.testing.assert_allclose(matrices[:, :3, 3], cloud.points, atol=1e-3)
+    code, out, err = run(*with_crs, "--set", "gauge=arbitrary")
+    assert code == 2
     check_text(err)
     for command in (("scene", "photos"), arguments):
         code, out, err = run(*command, "--wgs84", "--cameras", "none")

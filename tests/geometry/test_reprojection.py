@@ -1,18 +1,27 @@
-"""Clouds in other units and coordinate systems."""
+"""Clouds in other coordinate systems."""
 
 import numpy as np
 import pytest
 from optional import break_library, import_or_skip
 from wording import check_error, check_text
 
-from pcbench.errors import MissingExtra
+from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import axis_units, degrees_hint, is_geographic_crs, suggested_crs, with_units
-from pcbench.geometry.reprojection import convert_unit, project
+from pcbench.geometry.crs import (
+    axis_units,
+    crs_name,
+    degrees_hint,
+    is_geographic_crs,
+    suggested_crs,
+    unnamed_grid,
+    with_units,
+)
+from pcbench.geometry.reprojection import project
 
 PLACE = np.array([[-81.0, 40.0, 100.0], [-81.001, 40.002, 130.0], [-80.999, 40.001, 90.0]])
 # Karney, "Transverse Mercator with an accuracy of a few nanometers", 2011: the central meridian of zone 17 is -81.
 CENTRAL_NORTHING = 4_427_757.219
+A, B = 6_378_137.0, 6_356_752.314_245  # semi-axes of the WGS 84 ellipsoid in metres
 
 
 def test_projection_to_utm():
@@ -20,8 +29,9 @@ def test_projection_to_utm():
     attributes, colors = {"a": np.arange(3)}, np.arange(9, dtype=np.uint8).reshape(3, 3)
     notes = []
     cloud = Cloud(PLACE, np.eye(3), colors, attributes, crs="EPSG:4326", unit="deg")
-    found = project(cloud, "EPSG:32617", on_warning=notes.append)
+    found, operation, accuracy = project(cloud, "EPSG:32617", notes.append)
     assert (found.crs, found.unit, found.normals, found.stored) == ("EPSG:32617", "m", None, None)
+    assert (operation, accuracy) == ("UTM zone 17N", 0)
     np.testing.assert_allclose(found.points[0], [500_000, CENTRAL_NORTHING, 100], atol=1e-3)
     np.testing.assert_array_equal(found.colors, colors)
     np.testing.assert_array_equal(found.attributes["a"], attributes["a"])
@@ -33,74 +43,126 @@ def test_projection_to_utm():
 
 
 HEIGHTS = [  # source, target, factor of the heights, unit, units of the axes
-    ("EPSG:26917", "EPSG:32617", 1, "m", ("m", None)),
+    ("EPSG:26917", "EPSG:4269", 1, None, ("deg", None)),
     ("EPSG:26917+6360", "EPSG:26917", 1200 / 3937, "m", ("m", "m")),  # US survey feet
     ("EPSG:26917+6360", "EPSG:26917+5703", 1200 / 3937, "m", ("m", "m")),
     ("EPSG:26917+5703", "EPSG:3734", 3937 / 1200, "US-ft", ("US-ft", "US-ft")),
-    ("EPSG:4326", "EPSG:3734", 3937 / 1200, "US-ft", ("US-ft", None)),
-    ("EPSG:4979", "EPSG:32617", 1, "m", ("m", None)),
+    ("EPSG:4269", "EPSG:3734", 3937 / 1200, "US-ft", ("US-ft", None)),
+    ("EPSG:4979", "EPSG:32617", 1, "m", ("m", "m")),  # ellipsoidal heights stay ellipsoidal
+    ("EPSG:6319", "EPSG:6549", 3937 / 1200, "US-ft", ("US-ft", "US-ft")),
 ]
 
 
 @pytest.mark.parametrize(("source", "target", "factor", "unit", "units"), HEIGHTS)
 def test_heights_get_the_unit_of_the_new_system(source, target, factor, unit, units):
     import_or_skip("pyproj")
-    in_degrees = source.startswith("EPSG:4")
-    points = PLACE if in_degrees else PLACE + [500_081, 4_427_700, 0]
-    found = project(Cloud(points, crs=source), target)
-    np.testing.assert_allclose(found.points[:, 2], PLACE[:, 2] * factor, rtol=1e-12)
-    assert (found.unit, axis_units(found.crs)) == (unit, units)
+    points = PLACE + [500_081, 4_427_700, 0] if source.startswith("EPSG:26917") else PLACE
+    found = project(Cloud(points, crs=source), target).cloud
+    np.testing.assert_allclose(found.points[:, 2], PLACE[:, 2] * factor, rtol=1e-11)  # a nanometre, by iteration
+    assert (found.unit or None, axis_units(found.crs)) == (unit or "deg", units)
 
 
-def test_geocentric_coordinates_become_heights():
+def test_geocentric_coordinates_become_ellipsoidal_heights():
+    """On the equator and at a pole, heights are distances from the ellipsoid along the axes."""
     import_or_skip("pyproj")
-    a = 6_378_137.0
-    points = np.array([[a + 100, 0, 0], [a + 3, 0, 0]])
-    found = project(Cloud(points, crs="EPSG:4978"), "EPSG:32631")
+    found = project(Cloud([[A + 100, 0, 0], [A + 3, 0, 0]], crs="EPSG:4978"), "EPSG:32631").cloud
     np.testing.assert_allclose(found.points[:, 2], [100, 3], atol=1e-6)
+    assert crs_name(found.crs) == "EPSG:32631+4979"
+    found = project(Cloud([[0, 0, B + 7.0], [0, 0, B]], crs="EPSG:4978"), "EPSG:4979").cloud
+    np.testing.assert_allclose(found.points[:, 1:], [[90, 7], [90, 0]], atol=1e-6)
 
 
-def test_convert_unit_of_x_y_and_z():
+def test_ellipsoidal_heights_change_with_the_datum():
+    """The shift of GDA94 to GDA2020 in space, which the operation applies, against geodetic coordinates by hand."""
+    pyproj = import_or_skip("pyproj")
+    here = [[149.1, -35.3, 600.0], [149.11, -35.31, 610.0]]
+    found, _, accuracy = project(Cloud(here, crs="EPSG:7843"), "EPSG:28355")
+    helmert = "+proj=helmert +x=0.06155 +y=-0.01087 +z=-0.04019 +rx=-0.0394924 +ry=-0.0327221 +rz=-0.0328979"
+    by_hand = pyproj.Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=GRS80"
+        f" +step +inv {helmert} +s=-0.009994 +convention=coordinate_frame"
+        " +step +inv +proj=cart +ellps=GRS80 +step +proj=utm +zone=55 +south +ellps=GRS80"
+    )
+    expected = np.stack(by_hand.transform(*np.transpose(here)), axis=1)
+    np.testing.assert_allclose(found.points, expected, atol=1e-5)  # both are computed to micrometres
+    assert accuracy == 0.01
+    assert np.abs(found.points[:, 2] - np.transpose(here)[2]).min() > 0.05
+
+
+def missing_grids(source, target):
+    """Return the names of the missing grids of the best operation at a place of this module, by pyproj alone."""
+    pyproj = import_or_skip("pyproj")
+    group = pyproj.transformer.TransformerGroup(
+        source,
+        target,
+        always_xy=True,
+        allow_ballpark=False,
+        area_of_interest=pyproj.aoi.AreaOfInterest(-81.001, 40.0, -80.999, 40.002),
+    )
+    if group.best_available:
+        pytest.skip("the grids are installed")
+    return [grid.short_name for grid in group.unavailable_operations[0].grids if not grid.available]
+
+
+@pytest.mark.filterwarnings("ignore:Best transformation")
+@pytest.mark.parametrize(
+    ("source", "target"),
+    [("EPSG:4979", "EPSG:32617+5773"), ("EPSG:4979", "EPSG:32617+5703"), ("EPSG:4269", "EPSG:32617")],
+)
+def test_a_missing_grid_is_named(source, target):
+    """Nothing is transformed by a less accurate operation, and never by one that neglects the datum of heights."""
+    names = missing_grids(source, target)
+    with pytest.raises(InputError) as error:
+        project(Cloud(PLACE, crs=source), target)
+    assert names and all(f"pyproj sync --file {name}" in str(error.value) for name in names)
+
+
+@pytest.mark.filterwarnings("ignore:Best transformation")
+def test_a_less_accurate_transformation_can_be_accepted():
+    missing_grids("EPSG:4269", "EPSG:32617")
+    cloud = Cloud(PLACE, crs="EPSG:4269")
+    with pytest.raises(InputError) as error:
+        project(cloud, "EPSG:32617", accuracy=3.9)
+    assert "--accuracy 4" in str(error.value)
+    found, operation, accuracy = project(cloud, "EPSG:32617", accuracy=4)
+    assert (operation, accuracy) == ("NAD83 to WGS 84 (1) + UTM zone 17N", 4)
+    np.testing.assert_allclose(found.points[0], [500_000, CENTRAL_NORTHING, 100], atol=1e-3)  # it shifts nothing
+
+
+def test_dynamic_datums_and_distant_clouds_are_warned_of():
     import_or_skip("pyproj")
-    normals = np.array([[0, 0, 1.0], [1, 0, 0], [0.6, 0, 0.8]])
-    cloud = Cloud(np.full((3, 3), 3937.0), normals, crs="EPSG:26917+6360")
-    found = convert_unit(cloud, "m")
-    np.testing.assert_allclose(found.points, [[3937, 3937, 1200]] * 3, rtol=1e-15)
-    assert (found.unit, axis_units(found.crs)) == ("m", ("m", "m"))
-    steep = np.array([0.6, 0, 0.8 * 3937 / 1200])  # normals of a surface that is flatter now
-    np.testing.assert_allclose(found.normals[2], steep / np.linalg.norm(steep), rtol=1e-12)
-    back = convert_unit(convert_unit(cloud, "ft"), "m")
-    np.testing.assert_allclose(back.points, found.points, rtol=1e-14)
-    np.testing.assert_allclose(convert_unit(Cloud(np.ones((1, 3)), unit="mm"), "m").points, 1e-3)
+    notes = []
+    project(Cloud(PLACE, crs="EPSG:9000"), "EPSG:6318", notes.append)
+    assert len(notes) == 1
+    check_text(notes[0])
+    project(Cloud(PLACE, crs="EPSG:4326"), "EPSG:32616", notes.append)  # the next zone, six degrees to the west
+    project(Cloud(PLACE, crs="EPSG:4326"), "EPSG:32618", notes.append)
+    assert len(notes) == 2 + 1
+    check_text(notes[1])
 
 
-def test_conversions_that_make_no_sense_are_refused():
+def test_transformations_that_make_no_sense_are_refused():
     import_or_skip("pyproj")
-    degrees, unknown = Cloud(PLACE, crs="EPSG:4326"), Cloud(PLACE)
-    for convert in (
-        lambda: convert_unit(degrees, "m"),
-        lambda: convert_unit(unknown, "m"),
-        lambda: convert_unit(degrees, "parsec"),
-        lambda: project(unknown, "EPSG:32617"),
-        lambda: project(degrees, "EPSG:32617", "EPSG:4326"),
-        lambda: project(degrees, "the village"),
-        lambda: project(degrees, "EPSG:4978"),
-        lambda: project(degrees, "EPSG:32617+5703"),
-        lambda: project(Cloud(PLACE * [1, 9, 1], crs="EPSG:4326"), "EPSG:32617"),
+    degrees = Cloud(PLACE, crs="EPSG:4326")
+    for cloud, target in (
+        (Cloud(PLACE), "EPSG:32617"),
+        (degrees, "the village"),
+        (degrees, "EPSG:4978"),
+        (degrees, "EPSG:5703"),
+        (degrees, "EPSG:32617+5703"),  # the heights have no datum
+        (Cloud(PLACE, crs="EPSG:26917"), "EPSG:26917+5703"),
+        (Cloud(PLACE * [1, 9, 1], crs="EPSG:4326"), "EPSG:32617"),
+        (Cloud(PLACE, crs="EPSG:7843"), "EPSG:4283"),  # from Ohio to Australia
+        (Cloud(PLACE, crs=unnamed_grid("m", "ft")), "EPSG:32617"),
     ):
         with check_error():
-            convert()
+            project(cloud, target)
 
 
 def test_without_pyproj(tmp_path, monkeypatch):
     break_library(monkeypatch, tmp_path / "packages", "pyproj", None)
-    for convert in (
-        lambda: project(Cloud(PLACE, crs="EPSG:4326"), "EPSG:32617"),
-        lambda: convert_unit(Cloud(PLACE, crs="EPSG:32617", unit="m"), "ft"),
-    ):
-        with pytest.raises(MissingExtra):
-            convert()
-    assert convert_unit(Cloud(PLACE, unit="m"), "ft").unit == "ft"
+    with pytest.raises(MissingExtra):
+        project(Cloud(PLACE, crs="EPSG:4326"), "EPSG:32617")
     assert is_geographic_crs("EPSG:4326")
     assert is_geographic_crs('GEOGCS["WGS 84",DATUM["WGS_1984"]]')
     assert not is_geographic_crs("EPSG:32617")

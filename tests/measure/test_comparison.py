@@ -345,6 +345,24 @@ def test_different_coordinate_systems_are_warned_about(pair):
         assert [w.code for w in warnings] == (["other-crs"] if is_warned else [])
 
 
+@pytest.mark.parametrize(
+    ("reference", "candidate", "command"),
+    [
+        ("EPSG:32617", "EPSG:32617+5703", "--crs EPSG:32617+5703"),  # the datum of some heights is not stated
+        ("EPSG:32617+4979", "EPSG:32617", "--crs EPSG:32617+4979"),
+        ("EPSG:32617+5703", "EPSG:32617+4979", "--to-crs EPSG:32617+5703"),
+        ("EPSG:32617+5703", "EPSG:32618", "--to-crs EPSG:32617+5703"),
+    ],
+)
+def test_the_command_against_different_heights(reference, candidate, command):
+    import_or_skip("pyproj")
+    from pcbench.comparison.pipeline import crs_warnings
+
+    (warning,) = crs_warnings(reference, candidate)
+    assert warning.code == "other-crs"
+    assert check_text(warning.text).endswith(command)
+
+
 def test_a_crs_equals_its_wkt():
     pyproj = import_or_skip("pyproj")
     from pcbench.geometry.crs import crs_name, same_crs

@@ -7,7 +7,7 @@ from optional import import_or_skip
 from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, register, write_cloud
-from pcbench.cli.clouds import convert
+from pcbench.cli.convert import convert
 from pcbench.errors import RegistrationError
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface

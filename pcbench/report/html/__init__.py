@@ -10,6 +10,6 @@ inside.
 
 from pcbench.report.html.article import article_page
 from pcbench.report.html.page import page
-from pcbench.report.html.template import PAGE, Origin, write_page
+from pcbench.report.html.template import PAGE, InputRow, Origin, write_page
 
-__all__ = ["PAGE", "Origin", "article_page", "page", "write_page"]
+__all__ = ["PAGE", "InputRow", "Origin", "article_page", "page", "write_page"]

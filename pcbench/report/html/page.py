@@ -20,7 +20,7 @@ from pcbench.report.html.layers import Layer, layers
 from pcbench.report.html.metrics_table import MAX_ACROSS, columns_of, main_rows
 from pcbench.report.html.packing import rounded
 from pcbench.report.html.places import Place, worst_places
-from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
+from pcbench.report.html.template import InputRow, Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.notes import deformation_sentence, details, remarks, warnings
@@ -207,10 +207,18 @@ def _p_value(value: float | None) -> str:
     return UNKNOWN if value is None else f"{value:.2g}" if value >= 1e-9 else "< 1e-9"
 
 
-def _inputs(comparison: FinishedComparison) -> list[tuple[str, str, str]]:
-    """Return role, path and SHA-256 of each input file."""
+def _inputs(comparison: FinishedComparison) -> list[InputRow]:
+    """Return a row for each input file."""
     inputs = comparison.inputs
     if inputs is None:
         return []
     named = [("reference", inputs.reference), *inputs.candidates.items(), *(("setting", file) for file in inputs.files)]
-    return [(printable(role), printable(str(file.path)), file.sha256) for role, file in named]
+    return [
+        InputRow(
+            printable(role),
+            printable(str(file.path)),
+            file.sha256,
+            "" if file.system is None else printable(file.system.describe()),
+        )
+        for role, file in named
+    ]

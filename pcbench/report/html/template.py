@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pcbench.errors import PcbenchError, record_error
 from pcbench.extras import require
@@ -50,6 +50,15 @@ class Opening:
     remarks: Sequence[str] = ()
 
 
+class InputRow(NamedTuple):
+    """An input file: its role, path, SHA-256 and coordinate system in words, empty for a file without coordinates."""
+
+    role: str
+    path: str
+    sha256: str
+    system: str = ""
+
+
 @dataclass(frozen=True)
 class Origin:
     """The bottom of a page: how the results were made.
@@ -57,12 +66,12 @@ class Origin:
     Attributes:
         provenance: version, commit, command and time, see `pcbench.report.document.provenance`; None if unknown.
         repeat: command that repeats the run in the folder of the page, if there is one.
-        inputs: role, path and SHA-256 of each input file.
+        inputs: the input files.
     """
 
     provenance: Mapping[str, Any] | None
     repeat: str | None = None
-    inputs: Sequence[tuple[str, str, str]] = ()
+    inputs: Sequence[InputRow] = ()
 
 
 def render(template: str, opening: Opening, origin: Origin, *, script: str = "", **content: Any) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
 from pcbench.io.source import Source
@@ -229,8 +230,12 @@ def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = No
         warn: called with the warnings of the readers.
         scene: a scene with cameras in the file's coordinates, which select the view.
         off_screen: whether to render without a window.
+
+    Raises:
+        InputError: the file cannot be read, or its coordinates are no lengths. The message starts with the path.
     """
     shown = Source.open(path).read(warn)
+    check_lengths(shown, str(path))
     viewed = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
     plotter = plotters.cloud(shown, scene=viewed, off_screen=off_screen)
     if isinstance(shown, Cloud) and not off_screen:

@@ -25,6 +25,7 @@ from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
 from pcbench.report.document import provenance
+from pcbench.report.html import InputRow
 from pcbench.report.markup import csv_text
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
@@ -409,5 +410,5 @@ def _publish(out: Path, study: Bench, draw: Callable[[], Drawn] | None = None) -
     """Write all files of the bench."""
     table = csv_text(COLUMNS, ([row.value(column) for column in COLUMNS] for row in study.rows))
     files = {"scene": study.scene, "reference": study.reference, "true surface": study.reference.mesh}
-    inputs = [(role, file.path, file.sha256) for role, file in files.items() if file is not None]
+    inputs = [InputRow(role, file.path, file.sha256) for role, file in files.items() if file is not None]
     return publish(out, KIND, study, {"bench.csv": table}, draw, partial(article, study), study.provenance, inputs)

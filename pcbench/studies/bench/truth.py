@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.neighbors import Index
@@ -138,6 +139,7 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
     """
     surface = read_mesh(mesh, on_warning=warn) if mesh is not None else None
     shape = Source.open(reference).read(warn)
+    check_lengths(shape, str(reference))
     if isinstance(shape, Mesh) and surface is None:
         surface = shape
     cloud = sample_reference(shape)

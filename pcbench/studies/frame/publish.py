@@ -11,7 +11,7 @@ from typing import Any, Generic
 from pcbench.errors import PcbenchError, record_error
 from pcbench.io.json_values import to_json
 from pcbench.report.article import Article, markdown
-from pcbench.report.html import PAGE, Origin, article_page, write_page
+from pcbench.report.html import PAGE, InputRow, Origin, article_page, write_page
 from pcbench.report.plot import Drawn
 from pcbench.studies.frame.folder import Study, StudyKind, write_files
 
@@ -33,7 +33,7 @@ def publish(
     draw: Callable[[], Drawn] | None,
     article: Callable[[Sequence[str]], Article],
     provenance: Mapping[str, Any] | None,
-    inputs: Sequence[tuple[str, str, str]] = (),
+    inputs: Sequence[InputRow] = (),
 ) -> StudyOutcome[Study]:
     """Write the document of a study, its other files, its pictures, its Markdown file and its page.
 
@@ -45,7 +45,7 @@ def publish(
         draw: draws its pictures; None: none are wanted.
         article: returns the study as an article, with the files of its pictures, relative to the folder.
         provenance: how the results were made, see `pcbench.report.document.provenance`.
-        inputs: role, path and SHA-256 of each input file.
+        inputs: the input files.
 
     Raises:
         OSError: a file cannot be written.
@@ -72,7 +72,7 @@ def write_report(
     kind: StudyKind[Any],
     make: Callable[[], Article],
     provenance: Mapping[str, Any] | None,
-    inputs: Sequence[tuple[str, str, str]] = (),
+    inputs: Sequence[InputRow] = (),
 ) -> str | None:
     """Write the Markdown file and `report.html` of a study, and return why one is missing, or None.
 
@@ -81,7 +81,7 @@ def write_report(
         kind: kind of study.
         make: returns the results of the study as an article.
         provenance: how they were made, see `pcbench.report.document.provenance`.
-        inputs: role, path and SHA-256 of each input file.
+        inputs: the input files.
 
     Raises:
         OSError: a file cannot be written.
