@@ -1,0 +1,61 @@
+"""The points of a cloud that are nearest to check points in plan view, collected piece by piece."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.neighbors import Index
+
+NEIGHBORS = 256  # kept per check point: about nine point spacings around it
+
+
+class PlanNeighbors:
+    """The nearest points in plan view of each check point, among all points that were added.
+
+    The memory depends on the number of check points, not on the cloud.
+
+    Args:
+        positions: (M, 2) x and y of the check points.
+    """
+
+    def __init__(self, positions: FloatArray) -> None:
+        count = len(positions)
+        self.positions = np.asarray(positions, dtype=np.float64)
+        self.total = 0
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._points = np.full((count, NEIGHBORS, 3), np.nan)
+        self._distances = np.full((count, NEIGHBORS), np.inf)
+
+    def add(self, points: FloatArray) -> None:
+        """Add points (N, 3) of the cloud; the order of all points decides only between equal distances."""
+        if not len(points):
+            return
+        self.total += len(points)
+        low, high = points.min(axis=0), points.max(axis=0)
+        self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
+        # A check point needs this piece only if its box is nearer than the farthest point that is kept.
+        gap = np.maximum(np.maximum(low[:2] - self.positions, self.positions - high[:2]), 0.0)
+        rows = np.flatnonzero(np.hypot(*gap.T) < self._distances[:, -1])
+        if not len(rows):
+            return
+        origin = low[:2]  # small coordinates lose less to rounding
+        flat = np.column_stack([points[:, :2] - origin, np.zeros(len(points))])
+        queries = np.column_stack([self.positions[rows] - origin, np.zeros(len(rows))])
+        k = min(NEIGHBORS, len(points))
+        matches = Index(flat).query(queries, k)
+        indices = matches.indices.reshape(len(rows), k)
+        distances = np.hstack([self._distances[rows], matches.distances.reshape(len(rows), k)])
+        kept = np.argsort(distances, axis=1, kind="stable")[:, :NEIGHBORS]
+        candidates = np.concatenate([self._points[rows], points[indices]], axis=1)
+        self._distances[rows] = np.take_along_axis(distances, kept, axis=1)
+        self._points[rows] = np.take_along_axis(candidates, kept[:, :, None], axis=1)
+
+    def around(self, row: int) -> FloatArray:
+        """Return the nearest points (K, 3) of a check point, the nearest first."""
+        return self._points[row, np.isfinite(self._distances[row])]
+
+    @property
+    def are_all(self) -> bool:
+        """Return whether all points of the cloud are kept for each check point."""
+        return self.total <= NEIGHBORS
