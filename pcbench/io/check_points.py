@@ -257,7 +257,8 @@ def _points_of(path: Path, rows: Sequence[_Line], table: _Table, notes: list[str
         name = table.text(row, "name") or str(count)
         if name in names:
             raise InputError(
-                f"line {row.number}: the name {name!r} is also on line {names[name]}: give each check point its own name"
+                f"line {row.number}: the name {name!r} is also on line {names[name]}: give each check point its own"
+                " name"
             )
         names[name] = row.number
         points.append([table.number(row, axis, required=True) for axis in "xyz"])

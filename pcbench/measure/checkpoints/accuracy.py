@@ -203,7 +203,9 @@ def _with_outliers(points: list[PointError]) -> list[PointError]:
     """Return the errors with the outliers of each class marked."""
     for vegetated in (False, True):
         rows = [row for row, point in enumerate(points) if point.dz is not None and point.vegetated == vegetated]
-        flags = are_outliers(np.array([points[row].dz for row in rows], dtype=np.float64)) if rows else []
+        if not rows:
+            continue
+        flags = are_outliers(np.array([points[row].dz for row in rows], dtype=np.float64))
         for row, flag in zip(rows, flags, strict=True):
             points[row] = replace(points[row], is_outlier=bool(flag))
     return points

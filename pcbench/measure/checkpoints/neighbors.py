@@ -53,7 +53,8 @@ class PlanNeighbors:
 
     def around(self, row: int) -> FloatArray:
         """Return the nearest points (K, 3) of a check point, the nearest first."""
-        return self._points[row, np.isfinite(self._distances[row])]
+        points: FloatArray = self._points[row, np.isfinite(self._distances[row])]
+        return points
 
     @property
     def are_all(self) -> bool:

@@ -53,6 +53,11 @@ def _asprs(accuracy: CloudAccuracy, settings: CheckPointSettings, centimetres: f
             "Horizontal Positional Accuracy Class",
             "The tested horizontal positional accuracy",
         )
+    if settings.vertical_class is None and accuracy.every is not None:
+        yield (
+            "The vertical class is the smallest of whole centimetres that the result meets: name the class that the"
+            " project demands with --vertical-class."
+        )
 
 
 def _asprs_sentence(count: int, rmse: float, wanted: float | None, symbol: str, kind: str, subject: str) -> str:
@@ -98,8 +103,8 @@ def _nssda(accuracy: CloudAccuracy, length: float) -> Iterator[str]:
             causes.append(f"{horizontal.x.count} horizontal check points")
         elif (value := _nssda_horizontal(horizontal)) is None:
             yield (
-                "No horizontal statement: the formula of NSSDA appendix 3-A holds if the smaller of RMSEx and RMSEy is at"
-                f" least {_MIN_RATIO:g} times the larger."
+                "No horizontal statement: the formula of NSSDA appendix 3-A holds if the smaller of RMSEx and RMSEy is"
+                f" at least {_MIN_RATIO:g} times the larger."
             )
         else:
             parts.append(f"{value * length:.3f} meters horizontal accuracy at 95% confidence level")

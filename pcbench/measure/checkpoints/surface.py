@@ -26,7 +26,7 @@ class LocalSurface(NamedTuple):
         noise: standard deviation of the heights about the plane.
         slope: slope of the plane, as rise over run.
         radius: radius of the plane's points.
-        count: number of the plane's points.
+        fitted: number of the plane's points.
     """
 
     tin: float
@@ -35,7 +35,7 @@ class LocalSurface(NamedTuple):
     noise: float
     slope: float
     radius: float
-    count: int
+    fitted: int
 
 
 def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool) -> LocalSurface | str:
