@@ -35,7 +35,7 @@ def headline(accuracy: CloudAccuracy) -> str:
     if every is None:
         return f"none of {pluralize(len(accuracy.points), 'check point')} is covered"
     return (
-        f"RMSE {length(every.errors.rmse, unit)}, bias {_signed(every.errors.mean, unit)} at"
+        f"RMSE {length(every.errors.rmse, unit)}, bias {signed(every.errors.mean, unit)} at"
         f" {pluralize(every.errors.count, 'check point')}"
     )
 
@@ -67,7 +67,7 @@ def _vertical(accuracy: CloudAccuracy, group: VerticalAccuracy, vegetated: bool)
 
 def _bias(errors: ErrorStatistics, unit: str | None, where: str) -> str:
     if errors.count == 1:
-        return f"The only error{where} is {_signed(errors.mean, unit)} (cloud minus survey)."
+        return f"The only error{where} is {signed(errors.mean, unit)} (cloud minus survey)."
     side = "above" if errors.mean > 0 else "below"
     text = f"The cloud lies {length(abs(errors.mean), unit)} {side} the check points{where} on average (bias)"
     return f"{text}, more than chance explains." if errors.is_biased else f"{text}, no more than chance explains."
@@ -81,7 +81,7 @@ def _horizontal(accuracy: CloudAccuracy) -> Iterator[str]:
     yield (
         f"Horizontal accuracy at {pluralize(horizontal.x.count, 'target')}: RMSE_H {length(horizontal.rmse_h, unit)}"
         f"{survey} (RMSE_x {length(horizontal.x.rmse, unit)}, RMSE_y {length(horizontal.y.rmse, unit)}; bias"
-        f" {_signed(horizontal.x.mean, unit)} in x, {_signed(horizontal.y.mean, unit)} in y)."
+        f" {signed(horizontal.x.mean, unit)} in x, {signed(horizontal.y.mean, unit)} in y)."
     )
 
 
@@ -95,7 +95,7 @@ def caveats(accuracy: CloudAccuracy) -> Iterator[str]:
             f" which have no error: {listed}."
         )
     if outliers := accuracy.outliers:
-        listed = join_words([f"{point.name} ({_signed(point.dz, unit)})" for point in outliers], _MAX_LISTED)
+        listed = join_words([f"{point.name} ({signed(point.dz, unit)})" for point in outliers], _MAX_LISTED)
         kind = pluralize(len(outliers), "outlier")
         yield f"{kind} beyond {OUTLIER_NMADS:g} NMAD, included in all numbers: {listed}."
     if steep := [point.name for point in accuracy.covered if (point.slope or 0.0) > _MAX_SLOPE]:
@@ -192,7 +192,8 @@ def _note(point: PointError) -> str:
     return ", ".join(notes)
 
 
-def _signed(value: float | None, unit: str | None) -> str:
+def signed(value: float | None, unit: str | None) -> str:
+    """Return a length with its sign and its unit."""
     text = length(value, unit)
     return text if value is None or value < 0 else f"+{text}"
 

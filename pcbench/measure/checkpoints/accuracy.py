@@ -131,6 +131,19 @@ class CloudAccuracy:
         return [point for point in self.points if point.is_outlier]
 
 
+@dataclass(frozen=True)
+class CandidateAccuracy:
+    """Accuracy of a candidate of a comparison by check points.
+
+    Attributes:
+        as_given: its own accuracy: check points are absolute, and so are the coordinates of its file.
+        aligned: after registration to the reference, whose own errors it then has; None if it was not moved.
+    """
+
+    as_given: CloudAccuracy
+    aligned: CloudAccuracy | None
+
+
 def assess(
     check_points: CheckPoints, neighbors: PlanNeighbors, settings: CheckPointSettings, unit: str | None
 ) -> CloudAccuracy:
