@@ -176,8 +176,8 @@ def reconstruct(
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
     if check_points is not None and reconstruction.gauge != "georeferenced":
         warn(
-            f"{checkpoints}: not used, because the cloud has the gauge {reconstruction.gauge}, not the frame of the check"
-            " points: give cameras in it"
+            f"{checkpoints}: not used, because the cloud has the gauge {reconstruction.gauge}, not the frame of the"
+            " check points: give cameras in it"
         )
     elif check_points is not None and not quiet:
         for line in _accuracy_lines(check_points, reconstruction.cloud, out.name):

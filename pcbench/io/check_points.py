@@ -169,8 +169,8 @@ def _header(content: Sequence[tuple[int, str]], delimiter: str | None) -> _Line 
         is_comment = text.startswith(_COMMENTS)
         line = text.lstrip("#/% \t") if is_comment else text
         for cells in (_split(line, delimiter), line.split()) if is_comment else (_split(line, delimiter),):
-            known = {column for cell in cells if (column := _column(cell)) is not None}
-            if {"x", "y", "z"} <= known:
+            named = {column for cell in cells if (column := _column(cell)) is not None}
+            if {"x", "y", "z"} <= named:
                 return _Line(number, list(cells))
         if is_comment:
             continue

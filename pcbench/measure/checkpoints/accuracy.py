@@ -156,7 +156,7 @@ def assess(
         unit: unit of the coordinates, if known.
     """
     surfaces = [
-        local_surface(position, neighbors.around(row), are_all=neighbors.are_all)
+        local_surface(position, neighbors.around(row), are_all=neighbors.are_all, unit=unit)
         for row, position in enumerate(check_points.points[:, :2])
     ]
     level = _levels([surface for surface in surfaces if isinstance(surface, LocalSurface)])

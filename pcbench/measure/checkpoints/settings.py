@@ -82,8 +82,8 @@ class CheckPointSettings:
     )
 
     def __post_init__(self) -> None:
-        for name, value, known in (("surface", self.surface, SURFACES), ("standard", self.standard, STANDARDS)):
-            if value not in known:
-                raise InputError(f"expected --{name} as {', '.join(known)}, got {value!r}")
+        for name, value, choices in (("surface", self.surface, SURFACES), ("standard", self.standard, STANDARDS)):
+            if value not in choices:
+                raise InputError(f"expected --{name} as {', '.join(choices)}, got {value!r}")
         if self.unit is not None and metres(self.unit) is None:
             raise InputError(f"expected --unit as a unit of length, such as m, ft or US-ft, got {self.unit!r}")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.wording import with_unit
 
 _MAX_GAP_SPACINGS = 3.0  # to the nearest point; of evenly random points, one place in 10^12 has a larger gap
 _PLANE_SPACINGS = 3.0  # radius of the fitted plane: about 28 points
@@ -38,13 +39,14 @@ class LocalSurface(NamedTuple):
     fitted: int
 
 
-def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool) -> LocalSurface | str:
+def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool, unit: str | None) -> LocalSurface | str:
     """Return the surface of a cloud at a place, or why the cloud does not cover it.
 
     Args:
         position: (2,) x and y of the place.
         points: (K, 3) the nearest points of the cloud in plan view, the nearest first.
         are_all: whether these are all points of the cloud.
+        unit: unit of the coordinates, if known.
 
     The triangle of the nearest points around the place is one of the complete cloud's Delaunay triangulation if no
     unknown point can lie in its circumcircle, that is, if the circle lies within the distance of the farthest point.
@@ -55,7 +57,7 @@ def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool) ->
         return "fewer than three points of the cloud"
     spacing = distances[-1] * math.sqrt(math.pi / len(local))
     if distances[0] > _MAX_GAP_SPACINGS * spacing:
-        return f"the nearest point is {distances[0]:.3g} away: a gap"
+        return f"the nearest point is {with_unit(f'{distances[0]:.3g}', unit)} away: a gap"
     corners = _triangle_around(local)
     if corners is None:
         return "outside the cloud"

@@ -11,6 +11,7 @@ import numpy as np
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.checkpoints import PointError
+from pcbench.measure.wording import pluralize
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
@@ -62,27 +63,27 @@ def _errors(study: CheckPointStudy, dark: str) -> Any:
     unit = accuracy.unit or "units"
     figure = blank_figure((11, 4.6))
     axis, histogram = figure.subplots(1, 2, sharey=True, width_ratios=[3.4, 1])
-    places = np.arange(len(points))
+    places = np.arange(1, len(points) + 1)
     errors = np.array([point.dz for point in points], dtype=np.float64)
     for vegetated, group in ((False, accuracy.nva), (True, accuracy.vva)):
         rows = np.array([k for k, point in enumerate(points) if point.vegetated == vegetated], dtype=int)
         if group is None:
             continue
         color, rmse = _COLORS[vegetated], group.errors.rmse
-        low, high = rows[0] - 0.5, rows[-1] + 0.5
+        low, high = places[rows[0]] - 0.5, places[rows[-1]] + 0.5
         axis.fill_between([low, high], -rmse, rmse, color=color, alpha=0.12, linewidth=0)
         axis.hlines(group.errors.mean, low, high, color=color, linestyle="--", linewidth=1)
-        axis.vlines(rows, 0, errors[rows], color=color, linewidth=1.4)
+        axis.vlines(places[rows], 0, errors[rows], color=color, linewidth=1.4)
         label = f"{_LABELS[vegetated]}: RMSE {length_number(rmse)}, bias {group.errors.mean:+.3g} (dashed)"
-        axis.plot(rows, errors[rows], "o", color=color, markersize=5, label=label.replace("-0", "−0"))
+        axis.plot(places[rows], errors[rows], "o", color=color, markersize=5, label=label.replace("-0", "−0"))
     outliers = [k for k, point in enumerate(points) if point.is_outlier]
     if outliers:
-        axis.plot(outliers, errors[outliers], "o", color=dark, markersize=11, fillstyle="none", label="outlier")
+        axis.plot(places[outliers], errors[outliers], "o", color=dark, markersize=11, fillstyle="none", label="outlier")
     names = [printable(point.name) for point in points]
     if len(points) <= _MAX_NAMES:
         axis.set_xticks(places, names, rotation=90, fontsize=8, parse_math=False)
     else:
-        axis.set_xlabel("check point, in the order of the file")
+        axis.set_xlabel("covered check point, in the order of the file and by class")
     axis.axhline(0, color=dark, linewidth=0.9)
     axis.set_ylabel(f"error of height, cloud − survey [{unit}]")
     axis.set_title("Error at each check point; shaded: ± RMSE", fontsize=11, loc="left")
@@ -161,7 +162,8 @@ def _map(study: CheckPointStudy, heights: FloatArray, dark: str) -> Any:
     _scale_bar(axis, low, high, unit, dark)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if not all(near):
-        axis.set_title(f"{int((~near).sum())} check points are far outside the map", fontsize=9, color=GREY, loc="left")
+        outside = pluralize(int((~near).sum()), "check point")
+        axis.set_title(f"{outside} far from the cloud not shown", fontsize=9, color=GREY, loc="left")
     return figure
 
 
