@@ -8,6 +8,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 
 NEIGHBORS = 256  # kept per check point: about nine point spacings around it
+_ROUNDING = 1e-9
+_MAX_REACH_SHARE = 0.1  # of the size of a piece; beyond it, cells hardly leave out points
 
 
 class PlanNeighbors:
@@ -37,7 +39,8 @@ class PlanNeighbors:
         # A check point needs this piece only if its box is nearer than the farthest point that is kept.
         gap = np.maximum(np.maximum(low[:2] - self.positions, self.positions - high[:2]), 0.0)
         rows = np.flatnonzero(np.hypot(*gap.T) < self._distances[:, -1])
-        if not len(rows):
+        points = _near(points, self.positions[rows], float(self._distances[rows, -1].max(initial=0.0)))
+        if not len(points):
             return
         origin = low[:2]  # small coordinates lose less to rounding
         flat = np.column_stack([points[:, :2] - origin, np.zeros(len(points))])
@@ -60,3 +63,22 @@ class PlanNeighbors:
     def are_all(self) -> bool:
         """Return whether all points of the cloud are kept for each check point."""
         return self.total <= NEIGHBORS
+
+
+def _near(points: FloatArray, positions: FloatArray, reach: float) -> FloatArray:
+    """Return the points in the square cells around positions (M, 2) that contain all points within a reach of them.
+
+    Few points are near check points, and looking up their cells is faster than a search among all of them.
+    """
+    if not len(positions):
+        return points[:0]
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    if not 0.0 < reach < _MAX_REACH_SHARE * float((high - low).max()):
+        return points
+    cell = reach * (1 + _ROUNDING)
+    columns, rows = (int(count) + 3 for count in (high - low) / cell)  # with a cell beside each border
+    is_near = np.zeros((columns, rows), dtype=bool)
+    for column, row in np.clip(np.floor((positions - low) / cell) + 1, 0, [columns - 1, rows - 1]).astype(int).tolist():
+        is_near[max(column - 1, 0) : column + 2, max(row - 1, 0) : row + 2] = True
+    column, row = (((points[:, axis] - low[axis]) / cell).astype(np.int32) for axis in (0, 1))
+    return points[is_near[column + 1, row + 1]]

@@ -57,7 +57,7 @@ def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool, un
         return "fewer than three points of the cloud"
     spacing = distances[-1] * math.sqrt(math.pi / len(local))
     if distances[0] > _MAX_GAP_SPACINGS * spacing:
-        return f"the nearest point is {with_unit(f'{distances[0]:.3g}', unit)} away: a gap"
+        return f"the nearest point is {with_unit(f'{distances[0]:.3g}', unit)} away"
     corners = _triangle_around(local)
     if corners is None:
         return "outside the cloud"
