@@ -81,4 +81,5 @@ def _near(points: FloatArray, positions: FloatArray, reach: float) -> FloatArray
     for column, row in np.clip(np.floor((positions - low) / cell) + 1, 0, [columns - 1, rows - 1]).astype(int).tolist():
         is_near[max(column - 1, 0) : column + 2, max(row - 1, 0) : row + 2] = True
     column, row = (((points[:, axis] - low[axis]) / cell).astype(np.int32) for axis in (0, 1))
-    return points[is_near[column + 1, row + 1]]
+    near: FloatArray = points[is_near[column + 1, row + 1]]
+    return near
