@@ -43,7 +43,7 @@ def test_the_answer_and_the_folder(survey, run):
     names = {path.name for path in (survey / "out").iterdir()}
     assert {"report.html", "checkpoints.csv", "checkpoints.json", "checkpoints.md", "plan.npy"} <= names
     rows = list(csv.DictReader((survey / "out" / "checkpoints.csv").read_text().splitlines()))
-    assert len(rows) == 36 and rows[35]["dz"] == "" and "gap" in rows[35]["not_covered"]
+    assert len(rows) == 36 and rows[35]["dz"] == "" and "away" in rows[35]["not_covered"]
     # TIN of a sine of curvature 1/400 with a spacing of 1.3, and coordinates to 0.1 mm.
     assert [float(row["dz"]) for row in rows[:35]] == pytest.approx([0.1] * 35, abs=0.005)
     document = json.loads((survey / "out" / "checkpoints.json").read_text())

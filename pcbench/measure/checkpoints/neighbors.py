@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.neighbors import Index
 
 NEIGHBORS = 256  # kept per check point: about nine point spacings around it
 _ROUNDING = 1e-9
+_MAX_CELLS = 1000  # along a side
 _MAX_REACH_SHARE = 0.1  # of the size of a piece; beyond it, cells hardly leave out points
 
 
@@ -34,12 +36,16 @@ class PlanNeighbors:
         if not len(points):
             return
         self.total += len(points)
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = bounds(points)
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
         # A check point needs this piece only if its box is nearer than the farthest point that is kept.
         gap = np.maximum(np.maximum(low[:2] - self.positions, self.positions - high[:2]), 0.0)
         rows = np.flatnonzero(np.hypot(*gap.T) < self._distances[:, -1])
-        points = _near(points, self.positions[rows], float(self._distances[rows, -1].max(initial=0.0)))
+        if not len(rows):
+            return
+        reach = float(self._distances[rows, -1].max())
+        if 0.0 < reach < _MAX_REACH_SHARE * float((high - low)[:2].max()):
+            points = points[_near(points[:, :2] - low[:2], self.positions[rows] - low[:2], reach)]
         if not len(points):
             return
         origin = low[:2]  # small coordinates lose less to rounding
@@ -65,21 +71,22 @@ class PlanNeighbors:
         return self.total <= NEIGHBORS
 
 
-def _near(points: FloatArray, positions: FloatArray, reach: float) -> FloatArray:
-    """Return the points in the square cells around positions (M, 2) that contain all points within a reach of them.
+def _near(places: FloatArray, positions: FloatArray, reach: float) -> NDArray[np.bool_]:
+    """Return which places (N, 2) lie in the square cells that contain all places within a reach of positions (M, 2).
 
     Few points are near check points, and looking up their cells is faster than a search among all of them.
+
+    Args:
+        places: x and y of at least 0.
+        positions: x and y.
+        reach: the length, above 0.
     """
-    if not len(positions):
-        return points[:0]
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    if not 0.0 < reach < _MAX_REACH_SHARE * float((high - low).max()):
-        return points
-    cell = reach * (1 + _ROUNDING)
-    columns, rows = (int(count) + 3 for count in (high - low) / cell)  # with a cell beside each border
-    is_near = np.zeros((columns, rows), dtype=bool)
-    for column, row in np.clip(np.floor((positions - low) / cell) + 1, 0, [columns - 1, rows - 1]).astype(int).tolist():
+    extent = np.array([places[:, axis].max() for axis in (0, 1)])
+    cell = max(reach * (1 + _ROUNDING), float(extent.max()) / _MAX_CELLS)
+    shape = (extent / cell).astype(np.int64) + 3  # with a cell beside each border
+    is_near = np.zeros(shape, dtype=bool)
+    for column, row in np.clip(np.floor(positions / cell) + 1, 0, shape - 1).astype(int).tolist():
         is_near[max(column - 1, 0) : column + 2, max(row - 1, 0) : row + 2] = True
-    column, row = (((points[:, axis] - low[axis]) / cell).astype(np.int32) for axis in (0, 1))
-    near: FloatArray = points[is_near[column + 1, row + 1]]
+    columns, rows = ((places[:, axis] / cell).astype(np.int32) + 1 for axis in (0, 1))
+    near: NDArray[np.bool_] = is_near[columns, rows]
     return near
