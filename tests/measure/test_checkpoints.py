@@ -89,6 +89,16 @@ def test_unevenly_spaced_points_are_covered():
     np.testing.assert_allclose(errors_of(accuracy), oracle, atol=ROUNDING)
 
 
+def test_copies_of_points_count_once():
+    """A cloud that is stored ten times, as in overlapping tiles, has the same surface and spacing."""
+    cloud, points = terrain(), places(20)
+    once, often = accuracy_of(cloud, points), accuracy_of(np.tile(cloud, (10, 1)), points)
+    np.testing.assert_allclose(errors_of(often), errors_of(once), atol=ROUNDING)
+    assert often.spacing == pytest.approx(once.spacing, rel=0.2)  # from 25 places instead of 256
+    pair = np.array([[0.0, 0, 1], [0, 0, 3], [1, 0, 2], [0, 1, 2], [1, 1, 2]])
+    assert errors_of(accuracy_of(pair, np.array([[0.25, 0.25, 0.0]]))) == pytest.approx([2.0])
+
+
 def test_gaps_and_edges_have_no_error():
     cloud = terrain(20_000)
     away = np.hypot(*(cloud - ORIGIN)[:, :2].T - np.array([[50.0], [50.0]])) > 12

@@ -75,7 +75,7 @@ def read_around(
             check_lengths(Cloud(read.points, crs=disk.crs, unit=disk.unit), str(source.path))
         for pose, nearest in zip(poses, neighbors, strict=True):
             nearest.add(read.points if pose is None else pose.apply(read.points))
-        sample.append(read.points[::every])
+        sample.append(read.points[::every].copy())  # a view would keep the piece in memory
         notes.append((piece, read.notes))
         if read.classification is not None:
             is_ground = int((read.classification == _GROUND).sum())

@@ -51,7 +51,7 @@ def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool, un
     The triangle of the nearest points around the place is one of the complete cloud's Delaunay triangulation if no
     unknown point can lie in its circumcircle, that is, if the circle lies within the distance of the farthest point.
     """
-    local = points - np.append(position, 0.0)
+    local = _without_copies(points - np.append(position, 0.0))
     distances = np.hypot(local[:, 0], local[:, 1])
     if len(local) < 3:
         return "fewer than three points of the cloud"
@@ -69,6 +69,22 @@ def local_surface(position: FloatArray, points: FloatArray, *, are_all: bool, un
     count = max(int(np.searchsorted(distances, reach, side="right")), min(_MIN_PLANE_POINTS, len(local)))
     plane, noise, slope = _fitted_plane(local[:count])
     return LocalSurface(height, plane, spacing, noise, slope, float(min(reach, distances[-1])), count)
+
+
+def _without_copies(local: FloatArray) -> FloatArray:
+    """Return points (K, 3), the nearest first, with those at the same x and y as one at their mean height.
+
+    Tiles may overlap, and copies would look like a dense cloud.
+    """
+    _, first, inverse, counts = np.unique(
+        local[:, :2], axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    if len(first) == len(local):
+        return local
+    merged = local[first]
+    base = merged[inverse.ravel(), 2]  # differences of heights lose less to rounding
+    merged[:, 2] += np.bincount(inverse.ravel(), local[:, 2] - base) / counts
+    return merged[np.argsort(first)]
 
 
 def _triangle_around(local: FloatArray) -> list[int] | None:
