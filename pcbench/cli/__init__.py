@@ -10,7 +10,19 @@ from typing import Any, NoReturn
 import click
 
 from pcbench import __version__
-from pcbench.cli import clouds, convert, experiments, reconstruction, reports, scenes, stress, studies, tradeoff, view
+from pcbench.cli import (
+    checkpoints,
+    clouds,
+    convert,
+    experiments,
+    reconstruction,
+    reports,
+    scenes,
+    stress,
+    studies,
+    tradeoff,
+    view,
+)
 from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
@@ -29,7 +41,7 @@ def app(log: Path | None) -> None:
 
 
 for _command in (
-    *(reports.compare, reports.deform, reports.plot, view.view),
+    *(reports.compare, reports.deform, reports.plot, view.view, checkpoints.checkpoints),
     *(clouds.info, clouds.crop, clouds.register, convert.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -21,6 +22,10 @@ from pcbench.cli.options import (
     write_cameras_option,
 )
 from pcbench.errors import InputError
+
+if TYPE_CHECKING:
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.io.check_points import CheckPoints
 
 
 @click.command(short_help="List the reconstructors, or describe some.")
@@ -88,6 +93,12 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
 @accuracy_option("--crs")
 @wgs84_option("cloud and cameras")
 @write_cameras_option
+@click.option(
+    "--checkpoints",
+    type=FILE,
+    metavar="FILE",
+    help="Also test the cloud by the check points in this file, as `pcbench checkpoints` does.",
+)
 @quiet_option
 def reconstruct(
     name: str,
@@ -103,6 +114,7 @@ def reconstruct(
     accuracy: float | None,
     wgs84: bool,
     write_cameras: Path | None,
+    checkpoints: Path | None,
     quiet: bool,
 ) -> None:
     """Make a cloud from the photographs in SCENE with the reconstructor NAME.
@@ -113,6 +125,7 @@ def reconstruct(
     Example: pcbench reconstruct sfm photos/ -o cloud.ply --set mapping=global
     """
     from pcbench.io import check_cloud_output, write_cloud
+    from pcbench.io.check_points import read_check_points
     from pcbench.io.outputs import check_output
     from pcbench.plugins.projected import check_georeferencing, in_crs
     from pcbench.plugins.run import ReconstructionJob, check_workspace, is_recorded_output, record_output, run
@@ -127,6 +140,8 @@ def reconstruct(
     values = dict(key_value(text) for text in settings)
     named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if is_regular_file(text)]
     work = workspace or out.with_suffix(".work")
+    check_points = None if checkpoints is None else read_check_points(checkpoints)
+    named = [*named, *filter(None, [checkpoints])]
     inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
     others = [] if write_cameras is None else camera_output_files(write_cameras)
     check_cloud_output(out, inputs if not is_recorded_output(work, out) else named, others)
@@ -180,3 +195,24 @@ def reconstruct(
         points, cameras_count = len(reconstruction.cloud), len(reconstruction.cameras)
         click.echo(f"{out}: {points:,} points, {reconstruction.gauge}, {cameras_count} cameras")
         click.echo(f"{result.wall_s:.1f} s, {result.cpu_s:.1f} CPU s{memory}")
+    if check_points is not None and reconstruction.gauge != "georeferenced":
+        warn(
+            f"{checkpoints}: not used, because the cloud has the gauge {reconstruction.gauge}, not the frame of the"
+            " check points: give cameras in it"
+        )
+    elif check_points is not None and not quiet:
+        for line in _accuracy_lines(check_points, reconstruction.cloud, out.name):
+            click.echo(line)
+
+
+def _accuracy_lines(check_points: CheckPoints, cloud: Cloud, name: str) -> list[str]:
+    """Return the accuracy of a cloud by check points in sentences."""
+    from pcbench.measure.checkpoints import CheckPointSettings, PlanNeighbors, assess
+    from pcbench.measure.checkpoints.statement import statements
+    from pcbench.report.checkpoints import accuracy_sentences, method_sentence
+
+    neighbors, settings = PlanNeighbors(check_points.points[:, :2]), CheckPointSettings()
+    neighbors.add(cloud.points)
+    accuracy = assess(check_points, neighbors, settings, cloud.unit)
+    lines = [*accuracy_sentences(accuracy, name), method_sentence(accuracy), *statements(accuracy, settings)]
+    return [*lines, *check_points.notes]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pcbench.comparison.check_points import with_check_points
 from pcbench.comparison.in_memory import compare_in_memory
 from pcbench.comparison.plan import CloudsOnDisk, choose_tiles
 from pcbench.comparison.request import Input, Request, TilingChoice
@@ -182,6 +183,7 @@ def _compute(
         comparison, texts = _compute_in_memory(request, step)
     else:
         comparison = _compute_in_tiles(request, step, workspace, map_files)
+    comparison = with_check_points(request, comparison, step)
     for file in request.setting_files:
         if digest(Path(file.path)) != file.sha256:
             raise changed_error(Path(file.path))
@@ -323,13 +325,15 @@ def _expected_seconds(request: Request, outputs: Outputs, clouds: CloudsOnDisk |
     """Return a rough duration of each announced step, in seconds, for the progress bar."""
     if clouds is not None:  # tiles estimate their own time
         writing = _WRITING_SAMPLES_S if outputs.folder is not None else 0.0
-        return [0.0, writing, drawing_seconds(len(request.candidates))]
+        checking = [] if request.settings.checkpoints is None else [sum(s.reading_seconds for s in request.sources)]
+        return [0.0, *checking, writing, drawing_seconds(len(request.candidates))]
     reading = [source.reading_seconds for source in request.sources]
     total = sum(reading) + reading[0] * max(len(reading) - 2, 0) if reading else 0.0  # of all pairs
     writing = total if outputs.folder is not None else 0.0
     scene = [] if request.scene is None else [0.5]
     measuring = 2.0 * len(request.candidates) + 20 * total
-    return [*reading[:1], *scene, *reading[1:], measuring, writing, drawing_seconds(len(request.candidates))]
+    checking = [] if request.settings.checkpoints is None else [sum(reading)]
+    return [*reading[:1], *scene, *reading[1:], measuring, *checking, writing, drawing_seconds(len(request.candidates))]
 
 
 def _link_maps(maps: Path, folder: Path) -> bool:

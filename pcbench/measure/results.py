@@ -18,6 +18,7 @@ from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.budget import D2Budget
+from pcbench.measure.checkpoints.accuracy import CandidateAccuracy, CloudAccuracy
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
@@ -232,6 +233,7 @@ class ReferenceSummary:
         block_side: side of the correlation cells of the intervals.
         voxel_side: side of the voxels of area weighting.
         warnings: warnings about the reference that concern all candidates.
+        check_points: its accuracy by check points; None if there are none.
     """
 
     points: int
@@ -246,6 +248,7 @@ class ReferenceSummary:
     block_side: float
     voxel_side: float
     warnings: tuple[Notice, ...] = ()
+    check_points: CloudAccuracy | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,6 +277,7 @@ class Candidate:
         faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
         budget: what D2 consists of; None if there are no normals, or if D2 is estimated from a sample or unknown.
         changes: the changes, in tiles with the labels of sampled points; None if they were not searched for.
+        check_points: its accuracy by check points, as given and as aligned; None if there are none.
     """
 
     name: str
@@ -293,6 +297,7 @@ class Candidate:
     faces: int | None = None
     budget: DirectedBudget | None = None
     changes: Changes | None = None
+    check_points: CandidateAccuracy | None = None
 
     @property
     def is_noise(self) -> bool:

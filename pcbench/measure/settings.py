@@ -16,6 +16,7 @@ from pcbench.geometry.region_text import region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
+from pcbench.io.check_points import read_check_points
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.options import (
@@ -66,6 +67,8 @@ class Settings:
             interval of each mean square within this share of it, such as 0.01. Distances to points are exact. None:
             measure D2 at all points.
         initial: initial pose candidate -> reference for ICP, a `Similarity` or 4x4 array; None: the identity.
+        checkpoints: file of check points, in the coordinates of the reference, by which the accuracy of all clouds is
+            tested, see `pcbench.io.check_points`.
     """
 
     register: Method | Similarity | ArrayLike | str = setting(
@@ -144,7 +147,16 @@ class Settings:
         VERTICES_HELP,
     )
 
+    checkpoints: str | None = setting(
+        None,
+        "--checkpoints",
+        "Also test the accuracy of all clouds by the check points in this file, as `pcbench checkpoints` does.",
+        metavar="FILE",
+    )
+
     def __post_init__(self) -> None:
+        if self.checkpoints is not None:
+            object.__setattr__(self, "checkpoints", str(self.checkpoints))
         if not isinstance(self.register, str):  # a text is parsed when it is used
             object.__setattr__(self, "register", as_method(self.register))
         if self.initial is not None:
@@ -182,22 +194,26 @@ class Settings:
         Raises:
             InputError: there is no such method, or a file cannot be read.
         """
-        register, crop, m3c2 = self.register, self.crop, self.m3c2
+        register, crop, m3c2, checkpoints = self.register, self.crop, self.m3c2, self.checkpoints
         if isinstance(register, str) and (file := method_file(register)) is not None:
             register = as_method(f"{register.partition(':')[0]}:{file.absolute()}")
         if isinstance(crop, str) and (file := region_file(crop)) is not None:
             crop = read_polygon(file.absolute())
         if isinstance(m3c2, M3C2Settings):
             m3c2 = m3c2.absolute()
-        return replace(self, register=register, crop=crop, m3c2=m3c2)
+        if checkpoints is not None:
+            read_check_points(checkpoints)  # a mistake ends the comparison before it begins
+            checkpoints = str(Path(checkpoints).absolute())
+        return replace(self, register=register, crop=crop, m3c2=m3c2, checkpoints=checkpoints)
 
     @property
     def files(self) -> list[Path]:
-        """Files that the settings name: those of the registration, the region and the core points of M3C2."""
+        """Files that the settings name: of the registration, the region, the core points of M3C2 and check points."""
         named = self.register if isinstance(self.register, str) else None
         method = as_method(self.register).file if named is None else method_file(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
-        return [*filter(None, (method, region_file(self.crop), cores))]
+        check_points = None if self.checkpoints is None else Path(self.checkpoints)
+        return [*filter(None, (method, region_file(self.crop), cores, check_points))]
 
     @property
     def known_pose(self) -> Similarity | None:
@@ -235,6 +251,8 @@ class Settings:
             del values["tolerance"]
         if not self.vertices:
             del values["vertices"]
+        if self.checkpoints is None:
+            del values["checkpoints"]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
         values["presets"] = self.measured_presets

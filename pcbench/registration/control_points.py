@@ -172,6 +172,12 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
             raise InputError(
                 f"{path}: line {number}: expected a name and six numbers, got {line.strip()!r}: correct the line"
             ) from None
+        if len(words) == 4:
+            raise InputError(
+                f"{path}: line {number}: expected a name and six numbers (x y z in the candidate and in the reference),"
+                f" got three: to register, add the other three; surveyed check points of one cloud are for pcbench"
+                " checkpoints CLOUD FILE"
+            )
         if len(words) != 7 or not np.isfinite(rows[-1]).all():
             raise InputError(f"{path}: line {number}: expected a name and six finite numbers, got {line.strip()!r}")
         names.append(words[0])

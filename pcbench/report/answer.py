@@ -23,6 +23,7 @@ from pcbench.registration.result import (
 )
 from pcbench.registration.rounding import COARSE_STEP
 from pcbench.report.budget import budget_sentence, changes_of, changes_sentence, largest_part, source_words
+from pcbench.report.checked import check_point_sentences
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.moved import is_offset, place_sentence
 from pcbench.report.notes import CLAIMS, deformation_sentence, is_open, overlaps_little
@@ -97,8 +98,13 @@ class _Distance(NamedTuple):
 def answer(comparison: FinishedComparison) -> list[str]:
     """Return two to five sentences on a comparison, without distances if all registrations are doubtful.
 
-    A sentence before them says where candidates lie as a whole, if registration moved them or none was made.
+    A sentence before them says where candidates lie as a whole, if registration moved them or none was made. One after
+    them states the accuracy by check points, if there are any.
     """
+    return [*_answer(comparison), *check_point_sentences(comparison)]
+
+
+def _answer(comparison: FinishedComparison) -> list[str]:
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
     writer = _Writer(comparison)

@@ -144,6 +144,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "offset": None if candidate.offset is None else candidate.offset._asdict(),
         "changes": None if candidate.changes is None else candidate.changes.found,
         "deformation": candidate.deformation,
+        "check_points": candidate.check_points,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }

@@ -18,6 +18,7 @@ from pcbench.measure.results import (
 )
 from pcbench.measure.wording import pluralize, with_unit
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
+from pcbench.report.checked import check_point_remarks
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import label_of
 from pcbench.report.moved import motion_clause, place_sentence
@@ -53,7 +54,15 @@ def warnings(comparison: FinishedComparison) -> list[str]:
 
 
 def remarks(comparison: FinishedComparison) -> Iterator[str]:
-    """Yield how tiles were used, residuals of control points, motions that the answer does not state, and samples."""
+    """Yield how tiles were used, residuals of control points, motions that the answer does not state, and samples.
+
+    How heights at check points were found, and what limits their accuracy, follow.
+    """
+    yield from _remarks(comparison)
+    yield from check_point_remarks(comparison)
+
+
+def _remarks(comparison: FinishedComparison) -> Iterator[str]:
     if comparison.tiling is not None:
         yield tiling_sentence(comparison, comparison.tiling)
     if samples := list(_map_samples(comparison)):

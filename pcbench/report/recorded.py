@@ -37,7 +37,7 @@ _TILING_KINDS: dict[str, Any] = {
 def record(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
-    for name in ("initial", "tolerance", "vertices"):
+    for name in ("initial", "tolerance", "vertices", "checkpoints"):
         if values[name] in (None, False):
             del values[name]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):

@@ -13,6 +13,7 @@ from pcbench.geometry.arrays import even_rows
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.answer import answer
+from pcbench.report.checked import check_point_rows
 from pcbench.report.colors import DIVERGING, SEQUENTIAL, SERIES
 from pcbench.report.html.budget import bars, change_rows, legend
 from pcbench.report.html.charts import charts
@@ -78,6 +79,7 @@ def page(comparison: FinishedComparison, provenance: Mapping[str, Any], color_ra
         shown=_shown(clouds),
         charts=charts(comparison),
         deformations=_deformations(comparison),
+        check_points=check_point_rows(comparison),
         places=places,
         data=script_json(view),
         tiles=tiles,
