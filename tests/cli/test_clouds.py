@@ -10,7 +10,7 @@ from optional import import_or_skip
 from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
-from pcbench.cli import clouds
+from pcbench.cli import clouds, convert
 from pcbench.geometry.transform import read_matrix
 
 
@@ -121,25 +121,26 @@ def test_convert(files, run):
 
 
 @pytest.mark.parametrize(
-    ("command", "steps"),
+    ("module", "command", "steps"),
     [
-        (("info", "ref.ply"), ["reading ref.ply", "measuring the spacing"]),
+        (clouds, ("info", "ref.ply"), ["reading ref.ply", "measuring the spacing"]),
         (
+            clouds,
             ("crop", "ref.ply", "o.ply", "--crop", "box:0,0,-99,99,99,99"),
             ["reading ref.ply", "cropping", "writing o.ply"],
         ),
-        (("convert", "ref.ply", "o.xyz"), ["reading ref.ply", "writing o.xyz"]),
+        (convert, ("convert", "ref.ply", "o.xyz"), ["reading ref.ply", "writing o.xyz"]),
     ],
 )
-def test_a_terminal_shows_the_steps(files, monkeypatch, command, steps):
+def test_a_terminal_shows_the_steps(files, monkeypatch, module, command, steps):
     messages = []
 
     @contextmanager
     def record_steps(quiet):
         yield messages.append
 
-    monkeypatch.setattr(clouds, "steps", record_steps)
-    getattr(clouds, command[0]).main(command[1:], standalone_mode=False)
+    monkeypatch.setattr(module, "steps", record_steps)
+    getattr(module, command[0]).main(command[1:], standalone_mode=False)
     assert messages == steps
     assert all(step.expected > 0 for step in messages)
 
