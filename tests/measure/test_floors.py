@@ -7,6 +7,8 @@ from floor_cases import Case, mean_floors, mean_rounded_ratios
 from pcbench import Cloud, Settings, compare
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 
 @pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
 def test_floors_of_a_poisson_plane_equal_the_closed_form(reference, candidate):

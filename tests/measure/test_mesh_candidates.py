@@ -16,6 +16,8 @@ from pcbench.geometry.mesh_samples import SAMPLED_MESH, sample_candidate
 from pcbench.io.ply import write_ply_mesh
 from pcbench.report import document
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 NOISE = 0.002
 UNREGISTERED = Settings("none", thresholds=(0.03,), seed=3)
 

@@ -12,6 +12,8 @@ from wording import check_error
 
 from pcbench import Cloud, Settings, compare, read_cloud
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 
 def compute_preset(name, reference, candidate, **settings):
     settings = Settings(register="none", presets=(name,), **settings)

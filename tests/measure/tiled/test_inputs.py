@@ -15,6 +15,8 @@ from pcbench.io import write_cloud
 from pcbench.measure.results import LeftOut
 from pcbench.measure.tiled.settings import TilingSettings
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 
 @pytest.fixture
 def pair(tmp_path, monkeypatch):
