@@ -1,6 +1,7 @@
 """Pictures of a report that are drawn without OpenGL, compared with golden ones."""
 
 import pytest
+from children_here import drawing_here
 from coloured_cities import coloured_city
 from optional import import_or_skip
 from pictures import check_picture, is_similar, read, reduced
@@ -29,7 +30,8 @@ def report(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pictures(report):
-    return {path.stem: read(path) for path in draw(report, NAMES)}
+    with drawing_here():
+        return {path.stem: read(path) for path in draw(report, NAMES)}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -39,5 +41,6 @@ def test_pictures_look_as_before(pictures, name, renew_pictures):
 
 def test_another_colour_range_looks_different(pictures, report):
     """A range twice as large is another picture, so that a wrong scale of colours is found."""
-    (path,) = draw(report, ("bent_plane_distance",), figures=Figures(range=1.1))
+    with drawing_here():
+        (path,) = draw(report, ("bent_plane_distance",), figures=Figures(range=1.1))
     assert not is_similar(reduced(pictures["bent_plane_distance"]), reduced(read(path)))

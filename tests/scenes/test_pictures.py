@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from children_here import rendering_here
 from optional import import_or_skip
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -17,6 +18,12 @@ from pcbench.scenes.synthetic.truth import depth_map
 
 SMALL_CITY = CitySettings(extent=120.0, seed=3)
 DISTORTION = (-0.08, 0.01, 0.002, -0.001)
+
+
+@pytest.fixture(autouse=True)
+def _rendered_here():
+    with rendering_here():
+        yield
 
 
 def build_plates(corners):

@@ -59,13 +59,17 @@ def test_thinning_a_plane_doubles_the_distance_to_it(plane_study):
 
 
 def test_seeds_are_reproducible():
-    pair = city_pair(400)
-    settings = TradeoffSettings(levels=LEVELS, seeds=3, only=("random both", "disk cand"), register="none", seed=7)
-    first, again = (run_tradeoff(*pair, settings).study for _ in range(2))
-    other = run_tradeoff(*pair, replace(settings, seed=70)).study
+    clouds = city_pair(200)
+    settings = TradeoffSettings(levels=LEVELS, seeds=3, only=("random both",), register="none", seed=7)
+    first, again = (run_tradeoff(*clouds, settings).study for _ in range(2))
+    other = run_tradeoff(*clouds, replace(settings, seed=70)).study
     for one, two, three in zip(first.rows, again.rows, other.rows, strict=True):
         assert (one.errors, one.corrected) == (two.errors, two.corrected)
         assert one.errors["mean r→c"] != three.errors["mean r→c"]
+    pair = make_pair(*clouds, settings)
+    (disk,), _ = approximations.plan(pair, replace(settings, only=("disk cand",)))
+    one, two, three = (runs._run(pair, disk, seed).values["mean r→c"] for seed in (7, 7, 70))
+    assert one == two != three
 
 
 @pytest.mark.long
@@ -121,15 +125,17 @@ def test_files_of_a_quick_study_and_resumed_runs(tmp_path, monkeypatch):
 
 
 def test_damaged_records_are_repeated_and_another_pair_is_refused(tmp_path):
-    settings = TradeoffSettings(levels=LEVELS, seeds=3, only=("random both",), register="none")
+    damages = ({"old_field": 1}, {"points": None}, {"values": {}}, {"cpu_s": 0}, {"seed": 70}, {"message": "x"})
+    settings = TradeoffSettings(levels=LEVELS, seeds=len(damages), only=("random both",), register="none")
     first = run_tradeoff(*city_pair(200), settings, out=tmp_path / "out", figures=False).study
-    path = tmp_path / "out" / "runs" / "random-both-25--_1.json"
-    values = json.loads(path.read_text())
-    for damage in ({"old_field": 1}, {"points": None}, {"values": {}}, {"cpu_s": 0}, {"seed": 7}, {"message": "x"}):
-        path.write_text(json.dumps({**values, **damage}))
-        again = run_tradeoff(*city_pair(200), settings, out=tmp_path / "out", figures=False).study
-        assert [row.errors for row in again.rows] == [row.errors for row in first.rows]
-        assert json.loads(path.read_text())["values"] == values["values"]
+    paths = sorted((tmp_path / "out" / "runs").glob("random-both-25--_*.json"))
+    records = [json.loads(path.read_text()) for path in paths]
+    for path, record, damage in zip(paths, records, damages, strict=True):
+        path.write_text(json.dumps({**record, **damage}))
+    again = run_tradeoff(*city_pair(200), settings, out=tmp_path / "out", figures=False).study
+    assert [row.errors for row in again.rows] == [row.errors for row in first.rows]
+    for path, record in zip(paths, records, strict=True):
+        assert json.loads(path.read_text())["values"] == record["values"]
     with check_error():
         run_tradeoff(*reversed(city_pair(200)), settings, out=tmp_path / "out")
 
