@@ -33,12 +33,14 @@ def with_check_points(request: Request, comparison: Comparison, step: Callable[[
     check_points = read_check_points(Path(request.settings.checkpoints))
     step("testing by check points")
     unit = comparison.reference.unit
-    (reference,) = _accuracies(request.reference, [None], check_points, unit)
+    skip_bad = request.tiles is not None and request.tiles.settings.skip_bad
+    (reference,) = _accuracies(request.reference, [None], check_points, unit, skip_bad=skip_bad)
     candidates = []
     for candidate in comparison:
         pose = candidate.registration.T_reference_candidate
         poses = [None] if np.array_equal(pose.matrix, np.eye(4)) else [None, pose]
-        as_given, *aligned = _accuracies(request.candidates[candidate.name], poses, check_points, unit)
+        given = request.candidates[candidate.name]
+        as_given, *aligned = _accuracies(given, poses, check_points, unit, skip_bad=skip_bad)
         accuracy = CandidateAccuracy(as_given, aligned[0] if aligned else None)
         candidates.append(replace(candidate, check_points=accuracy))
     summary = replace(comparison.reference, check_points=reference)
@@ -46,12 +48,12 @@ def with_check_points(request: Request, comparison: Comparison, step: Callable[[
 
 
 def _accuracies(
-    given: Input, poses: Sequence[Similarity | None], check_points: CheckPoints, unit: str | None
+    given: Input, poses: Sequence[Similarity | None], check_points: CheckPoints, unit: str | None, *, skip_bad: bool
 ) -> list[CloudAccuracy]:
     """Return the accuracy of a cloud for each pose; of a mesh, that of its vertices."""
     positions = check_points.points[:, :2]
     if isinstance(given, Source) and not given.is_mesh_only:
-        neighbors: Sequence[PlanNeighbors] = read_around(given, positions, poses).neighbors
+        neighbors: Sequence[PlanNeighbors] = read_around(given, positions, poses, skip_bad=skip_bad).neighbors
     else:
         shape = given.read_mesh(lambda _: None) if isinstance(given, Source) else given
         points = (vertex_cloud(shape) if isinstance(shape, Mesh) else shape).points

@@ -39,6 +39,7 @@ _IS_VEGETATED = {
     **dict.fromkeys((*_OPEN, "2", "6", "11"), False),  # ground, building and road surface in LAS
     **dict.fromkeys((*_VEGETATED, "3", "4", "5"), True),  # low, medium and high vegetation
 }
+_MAX_POINTS = 20_000  # each keeps 256 points of the cloud
 _WITHOUT_HEADER = {3: ("x", "y", "z"), 4: ("name", "x", "y", "z")}
 _COMMENTS = ("#", "//", "%")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
@@ -125,6 +126,11 @@ def _parse(path: Path, lines: Sequence[str]) -> CheckPoints:
     rows = [line for line in _rows(content, delimiter) if header is None or line.number > header.number]
     if not rows:
         raise InputError(f"expected at least one check point, got none in {len(lines)} lines: expected {EXPECTED}")
+    if len(rows) > _MAX_POINTS:
+        raise InputError(
+            f"expected at most {_MAX_POINTS:,} check points, got {len(rows):,}: a cloud is measured against another by"
+            " pcbench compare"
+        )
     notes: list[str] = []
     if header is not None:
         columns = _columns_of(header)

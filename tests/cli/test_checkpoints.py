@@ -10,9 +10,7 @@ from optional import import_or_skip
 from wording import check_text
 
 from pcbench import Cloud, write_cloud
-from pcbench.report.figures import Figures
-from pcbench.report.plot.panels import drawing_style
-from pcbench.studies.checkpoints.charts import PICTURES, pictures
+from pcbench.studies.checkpoints.charts import PICTURES
 
 ORIGIN = np.array([400_000.0, 5_600_000.0, 0.0])
 
@@ -26,7 +24,7 @@ def survey(tmp_path, monkeypatch):
     """Write scan.ply, 0.1 m too high, and points.csv with 36 points, one of them outside, in the current folder."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
-    xy = rng.uniform(0, 100, (6000, 2))
+    xy = rng.uniform(0, 100, (3000, 2))
     write_cloud("scan.ply", Cloud(np.column_stack([xy, height(xy) + 0.1]) + ORIGIN, unit="m"))
     places = np.vstack([rng.uniform(5, 95, (35, 2)), [[-20.0, 20.0]]])
     with (tmp_path / "points.csv").open("w") as file:
@@ -44,8 +42,8 @@ def test_the_answer_and_the_folder(survey, run):
     assert {"report.html", "checkpoints.csv", "checkpoints.json", "checkpoints.md", "plan.npy"} <= names
     rows = list(csv.DictReader((survey / "out" / "checkpoints.csv").read_text().splitlines()))
     assert len(rows) == 36 and rows[35]["dz"] == "" and "away" in rows[35]["not_covered"]
-    # TIN of a sine of curvature 1/400 with a spacing of 1.3, and coordinates to 0.1 mm.
-    assert [float(row["dz"]) for row in rows[:35]] == pytest.approx([0.1] * 35, abs=0.005)
+    # TIN of a sine of curvature 1/400 with sides up to 5: below 5² / 8 / 400; coordinates are rounded to 0.1 mm.
+    assert [float(row["dz"]) for row in rows[:35]] == pytest.approx([0.1] * 35, abs=0.008)
     document = json.loads((survey / "out" / "checkpoints.json").read_text())
     assert document["schema"] == "pcbench.checkpoints/1"
     assert document["accuracy"]["nva"]["errors"]["count"] == 30 and document["accuracy"]["vva"]["errors"]["count"] == 5
@@ -59,17 +57,13 @@ def test_json_on_standard_output(survey, run):
     assert code == 0 and json.loads(out)["accuracy"]["surface"] == "plane"
 
 
-def test_pictures_are_drawn_and_drawn_again(survey, run):
+def test_pictures_are_drawn(survey, run):
     import_or_skip("matplotlib")
     code, _, err = run("checkpoints", "scan.ply", "points.csv", "--out", "out", "--quiet")
     assert code == 0 and err == ""
     names = {path.name for path in (survey / "out" / "figures").iterdir()}
     assert names == {"errors.png", "map.png"}
-    assert PICTURES.fits(survey / "out")  # `pcbench plot out` draws them again
-    look = Figures(background="dark")
-    with drawing_style(look):
-        assert pictures(survey / "out", look)["map"].draw(survey / "map.svg")
-    assert "not covered" in (survey / "map.svg").read_text()
+    assert PICTURES.fits(survey / "out")  # so that `pcbench plot out` draws them again
 
 
 def test_errors_are_one_line(survey, run):
@@ -98,7 +92,7 @@ def test_errors_are_one_line(survey, run):
 
 def test_compare_tests_each_cloud_as_given_and_aligned(survey, run):
     rng = np.random.default_rng(3)
-    xy = rng.uniform(0, 100, (4000, 2))
+    xy = rng.uniform(0, 100, (800, 2))
     write_cloud("low.ply", Cloud(np.column_stack([xy, height(xy) - 0.2]) + ORIGIN, unit="m"))
     matrix = np.eye(4)
     matrix[2, 3] = 0.3
@@ -115,7 +109,7 @@ def test_compare_tests_each_cloud_as_given_and_aligned(survey, run):
         values["every"]["errors"]["mean"]
         for values in (comparison["reference"]["check_points"], candidate["as_given"], candidate["aligned"])
     ]
-    assert means == pytest.approx([0.1, -0.2, 0.1], abs=0.002)  # as above, over 35 points
+    assert means == pytest.approx([0.1, -0.2, 0.1], abs=0.02)  # sides up to 8 in the candidate
     assert "Check points" in (survey / "out" / "report.html").read_text()
     assert json.loads((survey / "out" / "settings.json").read_text())["settings"]["checkpoints"].endswith("points.csv")
 

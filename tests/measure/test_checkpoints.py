@@ -233,7 +233,8 @@ def test_statements_of_asprs(count):
     accuracy = flat_accuracy(count, 0.0521)
     first, hint = statements(accuracy, CheckPointSettings())
     assert ("tested to meet" if count == 30 else "this test was performed using ONLY 29 checkpoints") in first
-    assert "6 (cm) RMSEV" in first and "RMSEV = 5.2 (cm)" in first
+    # The class that data were produced for is not known from a test of too few points.
+    assert f"{'6' if count == 30 else '__'} (cm) RMSEV" in first and "RMSEV = 5.2 (cm)" in first
     check_text(first, masked=False)
     check_text(hint)
     (given,) = statements(accuracy, CheckPointSettings(vertical_class=10))

@@ -48,6 +48,8 @@ def read_around(
     positions: FloatArray,
     poses: Sequence[Similarity | None] = (None,),
     step: Callable[[str], None] = lambda _: None,
+    *,
+    skip_bad: bool = False,
 ) -> CloudAround:
     """Read a cloud once, and keep the points around check points for each pose.
 
@@ -56,6 +58,7 @@ def read_around(
         positions: (M, 2) x and y of the check points.
         poses: transforms of the cloud to the coordinates of the check points; None: as given.
         step: called with a short text before each piece.
+        skip_bad: whether damaged and missing files are left out.
 
     Raises:
         InputError: the cloud cannot be read, or its coordinates are degrees or in mixed units.
@@ -64,7 +67,7 @@ def read_around(
         raise InputError(
             f"{source.path}: expected a cloud, got a mesh: sample it with pcbench convert {source.path} OUT --sample N"
         )
-    disk = source.pieces()
+    disk = source.pieces(skip_bad=skip_bad)
     _check_units(disk.crs, disk.unit, str(source.path))
     neighbors, every = tuple(PlanNeighbors(positions) for _ in poses), max(1, disk.count // _SAMPLE_POINTS)
     sample, notes, ground, others = [], [], 0, 0

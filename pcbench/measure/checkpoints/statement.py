@@ -49,58 +49,71 @@ def statements(accuracy: CloudAccuracy, settings: CheckPointSettings) -> list[st
 
 
 def _asprs(accuracy: CloudAccuracy, settings: CheckPointSettings, centimetres: float) -> Iterator[str]:
-    vertical_class = settings.vertical_class
+    open_ground: _Tested | None = None
     if (nva := accuracy.nva) is not None:
-        rmse = centimetres * nva.rmse_v
-        vertical_class = vertical_class or _smallest_class(rmse)
-        yield _asprs_sentence(nva.errors.count, rmse, vertical_class, _VERTICAL, f"The {_NVA}")
-    if (vva := accuracy.vva) is not None:
-        yield _vegetated(vva, nva, vertical_class, centimetres)
+        tested = _Tested.of(centimetres * nva.rmse_v, settings.vertical_class)
+        yield tested.sentence(nva.errors.count, _VERTICAL, f"The {_NVA}")
+        if not tested.fails and (tested.is_named or nva.errors.count >= MIN_ASPRS_POINTS):
+            open_ground = tested
+    if (vva := accuracy.vva) is not None and open_ground is not None:
+        vegetated = open_ground._replace(rmse=centimetres * vva.rmse_v)  # reported, whether it meets the class or not
+        yield vegetated.text(vva.errors.count, _VERTICAL, f"The {_VVA}")
+    elif vva is not None:
+        yield (
+            f"The {_VVA} was found to be {_VERTICAL.symbol} = {_cm(centimetres * vva.rmse_v)} ({vva.errors.count} check"
+            " points); it has no class without a non-vegetated accuracy that meets one."
+        )
     if (horizontal := accuracy.horizontal) is not None:
-        rmse = centimetres * horizontal.rmse_h
-        horizontal_class = settings.horizontal_class or _smallest_class(rmse)
-        subject = "The tested horizontal positional accuracy"
-        yield _asprs_sentence(horizontal.x.count, rmse, horizontal_class, _HORIZONTAL, subject)
+        tested = _Tested.of(centimetres * horizontal.rmse_h, settings.horizontal_class)
+        yield tested.sentence(horizontal.x.count, _HORIZONTAL, "The tested horizontal positional accuracy")
     if settings.vertical_class is None and nva is not None:
         yield (
-            "The vertical class is the smallest of whole centimetres that the result meets: name the class that the"
-            " project demands with --vertical-class."
+            "The vertical class is the smallest of whole centimetres that the result meets, or open (__): name that of"
+            " the project with --vertical-class."
         )
 
 
-def _vegetated(
-    vva: VerticalAccuracy, nva: VerticalAccuracy | None, vertical_class: float | None, centimetres: float
-) -> str:
-    """Return the sentence on vegetated ground, which is reported as found: the class is that of open ground."""
-    rmse = centimetres * vva.rmse_v
-    if nva is None or vertical_class is None or _exceeds(centimetres * nva.rmse_v, vertical_class):
+class _Tested(NamedTuple):
+    """A tested accuracy and its class, in centimetres, and whether the user named the class."""
+
+    rmse: float
+    limit: float
+    is_named: bool
+
+    @classmethod
+    def of(cls, rmse: float, limit: float | None) -> _Tested:
+        """Return an accuracy with the class that the user named, or the smallest that it meets."""
+        return cls(rmse, _smallest_class(rmse) if limit is None else limit, limit is not None)
+
+    @property
+    def fails(self) -> bool:
+        """Return whether the accuracy does not meet the class."""
+        return round(self.rmse, _ROUNDED_DIGITS) > self.limit
+
+    def sentence(self, count: int, kind: _AccuracyClass, subject: str) -> str:
+        """Return the sentence of the standard, or that the class is not met."""
+        if self.fails:
+            return (
+                f"No statement: {kind.symbol} = {_cm(self.rmse)} does not meet the {self.limit:g} (cm) {kind.symbol}"
+                f" {kind.name} ({count} check points)."
+            )
+        return self.text(count, kind, subject)
+
+    def text(self, count: int, kind: _AccuracyClass, subject: str) -> str:
+        """Return the sentence of section 7.16.
+
+        With fewer points than demanded, the class is that which the data were produced for, which no test tells.
+        """
+        finding = f"was found to be {kind.symbol} = {_cm(self.rmse)}"
+        if count >= MIN_ASPRS_POINTS:
+            wanted = f"{self.limit:g} (cm) {kind.symbol} {kind.name}"
+            return f"This data set was tested to meet {_EDITION} for a {wanted}. {subject} {finding}."
+        wanted = f"{f'{self.limit:g}' if self.is_named else '__'} (cm) {kind.symbol} {kind.name}"
         return (
-            f"The {_VVA} was found to be {_VERTICAL.symbol} = {_cm(rmse)} ({vva.errors.count} check points); it has no"
-            " class without a non-vegetated accuracy that meets one."
+            f"This data set was tested as required by {_EDITION}. Although the Standards call for a minimum of thirty"
+            f" (30) checkpoints, this test was performed using ONLY {count} checkpoints. This data set was produced to"
+            f" meet a {wanted}. {subject} {finding} using the reduced number of checkpoints."
         )
-    return _asprs_text(vva.errors.count, rmse, vertical_class, _VERTICAL, f"The {_VVA}")
-
-
-def _asprs_sentence(count: int, rmse: float, limit: float, kind: _AccuracyClass, subject: str) -> str:
-    """Return the sentence for a tested accuracy in centimetres, or that it does not meet its class."""
-    if _exceeds(rmse, limit):
-        return (
-            f"No statement: {kind.symbol} = {_cm(rmse)} does not meet the {_class(limit)} {kind.symbol} {kind.name}"
-            f" ({count} check points)."
-        )
-    return _asprs_text(count, rmse, limit, kind, subject)
-
-
-def _asprs_text(count: int, rmse: float, limit: float, kind: _AccuracyClass, subject: str) -> str:
-    """Return the sentence of section 7.16 for a tested accuracy, in centimetres."""
-    wanted, finding = f"{_class(limit)} {kind.symbol} {kind.name}", f"was found to be {kind.symbol} = {_cm(rmse)}"
-    if count >= MIN_ASPRS_POINTS:
-        return f"This data set was tested to meet {_EDITION} for a {wanted}. {subject} {finding}."
-    return (
-        f"This data set was tested as required by {_EDITION}. Although the Standards call for a minimum of thirty (30)"
-        f" checkpoints, this test was performed using ONLY {count} checkpoints. This data set was produced to meet a"
-        f" {wanted}. {subject} {finding} using the reduced number of checkpoints."
-    )
 
 
 def _smallest_class(rmse: float) -> float:
@@ -108,16 +121,8 @@ def _smallest_class(rmse: float) -> float:
     return float(max(1, math.ceil(round(rmse, _ROUNDED_DIGITS))))
 
 
-def _exceeds(rmse: float, limit: float) -> bool:
-    return round(rmse, _ROUNDED_DIGITS) > limit
-
-
 def _cm(value: float) -> str:
     return f"{value:.1f} (cm)"
-
-
-def _class(value: float) -> str:
-    return f"{value:g} (cm)"
 
 
 def _nssda(accuracy: CloudAccuracy, length: float) -> Iterator[str]:
