@@ -157,7 +157,11 @@ def _delimiter(lines: Sequence[str]) -> str | None:
 def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return [word.strip("\"'") for word in line.split()]
-    return [cell.strip().strip("'") for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    try:
+        (cells,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True)
+    except csv.Error as error:
+        raise InputError(f"expected lines of columns, got {line[:60]!r} ({error}): export the points as CSV") from error
+    return [cell.strip().strip("'") for cell in cells]
 
 
 def _rows(content: Sequence[tuple[int, str]], delimiter: str | None) -> Iterator[_Line]:

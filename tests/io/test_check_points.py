@@ -84,6 +84,7 @@ MISTAKES = {
     "unknown class": "id,x,y,z,class\na,1,2,3,GCP\n",
     "negative": "id,x,y,z,sigma\na,1,2,3,-1\n",
     "half a target": "id,x,y,z,measured_x,measured_y\na,1,2,3,1.1,\n",
+    "a long line": "id,x,y,z\n" + "a" * 200_000 + ",1,2,3\n",
     "a cloud": "1 2 3\n" * 20_001,
     "binary": b"\0\1\2\3",
 }
