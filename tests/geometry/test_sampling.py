@@ -114,7 +114,9 @@ def test_measured_clouds_keep_their_spacing_when_doubled(name):
 def clouds_with_copies_and_lines():
     rng = np.random.default_rng(0)
     strewn = rng.random((1500, 3)) * [40, 40, 0.01]
-    lines = np.column_stack([np.sort(rng.random(1500)) * 40, np.repeat(np.arange(15), 100), np.zeros(1500)])
+    # The next line is as far as the 60th neighbour in the same line.
+    along = 0.05 * (np.tile(np.arange(300), 10) + rng.uniform(-0.2, 0.2, 3000))
+    lines = np.column_stack([along, np.repeat(1.5 * np.arange(10), 300), np.zeros(3000)])
     return strewn, np.repeat(strewn[:300], 5, axis=0), np.concatenate([strewn, strewn + 1e-3]), lines, strewn[:30]
 
 
@@ -128,7 +130,10 @@ def test_farther_neighbors_than_those_that_are_searched_have_no_effect():
 def test_the_spacing_of_all_points_follows_from_the_sampling():
     rng = np.random.default_rng(0)
     plane = rng.random((41_000, 3)) * [1, 1, 0]
-    for points in (*clouds_with_copies_and_lines(), plane, np.repeat(plane[:5_000], 9, axis=0)):
+    along = 0.2 * (np.tile(np.arange(1000), 41) + rng.uniform(-0.2, 0.2, 41_000))
+    lines = np.column_stack([along, np.repeat(np.arange(41), 1000), np.zeros(41_000)])
+    copies = np.concatenate([plane, plane + 1e-5]), np.repeat(plane[:5_000], 9, axis=0)
+    for points in (*clouds_with_copies_and_lines(), plane, lines, *copies):
         index = Index(points)
         nearest_other = index.nearest_other()
         assert spacing_of_all(index, sampling_of(index), nearest_other) == median_spacing(index, nearest_other)

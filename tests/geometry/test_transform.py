@@ -311,6 +311,7 @@ RANDOM_POINTS = np.random.default_rng(7).normal(size=(5, 3))
         lambda: Similarity.from_matrix(1e308 * np.eye(4)),
         lambda: Similarity(2 * np.eye(3), np.zeros(3)),
         lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),
+        lambda: Similarity([[1, 0, 0], [0.6, 0.8, 0], [0, 0, 1]], np.zeros(3)),
         lambda: Similarity.from_matrix(np.eye(3)),
         lambda: Similarity.from_matrix(matrix_with(m30=0.5)),
         lambda: Similarity.from_matrix(matrix_with(m00=-1)),

@@ -121,7 +121,7 @@ def test_a_small_overlap_with_high_contrast_is_not_doubtful():
 
 
 def test_exact_copies_have_no_warnings():
-    points = sample_bumpy_ball(20_000, 0)
+    points = sample_bumpy_ball(8_000, 0)
     for scale in (1.0, 0.9):
         true_pose = Similarity(shapes.rotation([1, 0, 2], 3), np.array([0.02, 0, 0.01]), scale)
         registration = register(points, true_pose.inverse().apply(points[::3]), "similarity")
@@ -139,7 +139,7 @@ def test_a_scan_of_uneven_density_is_observable():
     rng = np.random.default_rng(3)
     clouds = []
     for seed in (1, 2):
-        points = city(4).sample(250_000, np.random.default_rng(seed))[0]
+        points = city(4).sample(120_000, np.random.default_rng(seed))[0]
         distance = np.linalg.norm(points - [5.0, 3, 2], axis=1)
         clouds.append(points[rng.random(len(points)) < np.minimum(1, (12 / distance) ** 2)])
     registration = register(*clouds)
@@ -174,7 +174,7 @@ def scan_street(eye, lines, steps, noise, seed):
     return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[in_range]
 
 
-@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (64, 900, 0.03)])
+@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (64, 450, 0.03)])
 def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
     """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
     reference = scan_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)

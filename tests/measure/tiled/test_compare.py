@@ -6,6 +6,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from partial_comparisons import skip_deformation
 from tiled_clouds import in_this_process
 from tiled_pairs import Pair, check_equal, noisy, surface
 from tiled_runs import as_document
@@ -125,6 +126,10 @@ CASES = [
 ]
 
 
+# One case of each kind of setting that the test for deformation depends on.
+WITH_DEFORMATION = [{"crop": "polygon"}, {"thresholds": (0.05, 0.3), "seed": 3, "two": True}, {"register": "icp"}]
+
+
 def moved(points):
     """Points turned by a degree and shifted."""
     angle = np.deg2rad(1)
@@ -144,6 +149,8 @@ def pair_of(folder, count=1500, two=False, **settings):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(f"{key}-{str(case[key])[:12]}" for key in case))
 def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case):
     in_this_process(monkeypatch)
+    if case not in WITH_DEFORMATION:
+        skip_deformation(monkeypatch)
     if case.get("crop") == "polygon":
         file = tmp_path / "polygon.json"
         ring = [[1, 1], [8, 2], [6, 7], [2, 9], [1, 1]]
