@@ -26,6 +26,7 @@ from pcbench.io.tiff import ASCII, DOUBLE, LONG, PLACE, SHORT, Tags, file_header
 from pcbench.scratch import atomic_write
 
 _TILE, _SMALL_TILE = 512, 256  # edges of the tiles of rasters above 512 pixels, and of others
+_HALVED_ROWS = 64  # of an overview that are made at once: their sums are doubles
 _MAX_GROWTH = 1032  # of deflate
 _MAX_CLASSIC_BYTES = (1 << 32) - (1 << 24)  # larger files have offsets of 64 bits; deflate may lengthen noise a little
 _DEFLATE, _PLANES, _FLOAT, _REDUCED = 8, 2, 3, 1
@@ -82,7 +83,7 @@ def write_geotiff(path: Path, raster: Raster) -> None:
     """Write a raster as a cloud-optimised GeoTIFF with 32-bit floats; missing values are NaN and declared as such.
 
     Overviews halve the raster until it fits into a tile. They are made from the level before, and have a value where
-    one of the four pixels has one. Files above 4 GiB are BigTIFF. The memory needed is a third of the 32-bit raster.
+    one of the four pixels has one. Rasters above 4 GiB are BigTIFF. The memory needed is a third of the 32-bit raster.
     `pcbench.io.geo_keys` says how coordinate systems are written. If pyproj does not know the system, viewers ask for
     it.
 
@@ -109,11 +110,10 @@ def write_geotiff(path: Path, raster: Raster) -> None:
     start = len(file_header(directories, is_big=is_big))
     with atomic_write(path) as file:
         file.seek(start)
-        for level, tags in reversed(list(zip(levels, directories, strict=True))):
-            sizes = level.write(file)
-            places = start + np.cumsum([0, *sizes])
-            start = int(places[-1])
-            tags |= {_TILES: (PLACE, places[:-1].tolist()), _TILE_SIZES: (LONG, sizes)}
+        for number in reversed(range(len(levels))):
+            sizes = levels[number].write(file)
+            *places, start = (start + np.cumsum([0, *sizes])).tolist()
+            directories[number] = {**directories[number], _TILES: (PLACE, places), _TILE_SIZES: (LONG, sizes)}
         file.seek(0)
         file.write(file_header(directories, is_big=is_big))
 
@@ -157,8 +157,8 @@ def halved(values: NDArray[np.generic], rule: Literal["mean", "max"]) -> NDArray
     """
     height, width = values.shape
     half = np.empty((-(-height // 2), -(-width // 2)), np.float32)
-    for row in range(0, len(half), _TILE):  # some rows at a time: sums are doubles
-        rows = half[row : row + _TILE]
+    for row in range(0, len(half), _HALVED_ROWS):
+        rows = half[row : row + _HALVED_ROWS]
         block = np.full((2 * rows.shape[0], 2 * rows.shape[1]), np.nan)
         below = values[2 * row : 2 * row + len(block)]
         block[: len(below), :width] = below
