@@ -10,10 +10,7 @@ from wording import check_error
 
 from pcbench import Similarity, read_cloud
 from pcbench.errors import RegistrationError
-from pcbench.registration import (
-    IcpSettings,
-    register,
-)
+from pcbench.registration import IcpSettings, icp_stages, register
 from pcbench.registration.result import NO_CONVERGENCE, OFF_SURFACE
 
 
@@ -193,3 +190,13 @@ def test_settings_affect_icp(scene):
 def test_invalid_settings_are_refused(settings):
     with check_error():
         IcpSettings(**settings)
+
+
+@pytest.mark.parametrize("rank", range(1, 8))
+def test_the_pseudo_inverse_is_that_of_numpy_to_the_last_bit(rank):
+    rng = np.random.default_rng(rank)
+    for _ in range(20):
+        rows = rng.normal(size=(rank, 7))
+        matrix = rows.T @ rows
+        expected = np.linalg.pinv(matrix, rcond=1e-10, hermitian=True)
+        np.testing.assert_array_equal(icp_stages._pseudo_inverse(matrix), expected)
