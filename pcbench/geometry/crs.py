@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
@@ -269,14 +270,79 @@ def suggested_crs(text: str | None, longitude: float, latitude: float) -> str:
     return f"EPSG:{code}"
 
 
-def epsg_code(text: str) -> tuple[int, bool] | None:
-    """Return the EPSG code of a CRS in the plane, and whether it is geographic; None if it has none or is unknown."""
+class EpsgCodes(NamedTuple):
+    """EPSG codes of a CRS.
+
+    Attributes:
+        horizontal: code of the system of x and y.
+        is_geographic: whether x and y are angles.
+        vertical: code of the system of heights; None if there is none, or if it has no code.
+    """
+
+    horizontal: int
+    is_geographic: bool
+    vertical: int | None
+
+
+def epsg_codes(text: str) -> EpsgCodes | None:
+    """Return the EPSG codes of a CRS; None if that of x and y has none, or if the CRS is unknown."""
     crs = parse_crs(text)
     if crs is None:
         return None
-    crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
-    code = crs.to_epsg(min_confidence=100)
-    return None if code is None or not (crs.is_projected or crs.is_geographic) else (code, bool(crs.is_geographic))
+    below, *above = crs.sub_crs_list or [crs]
+    code = below.to_epsg(min_confidence=100)
+    if code is None or not (below.is_projected or below.is_geographic):
+        return None
+    vertical = above[0].to_epsg(min_confidence=100) if above else None
+    return EpsgCodes(code, bool(below.is_geographic), vertical)
+
+
+class SystemDefinition(NamedTuple):
+    """Name, authority with its code, if any, and WKT of a CRS, as databases store them."""
+
+    name: str
+    authority: tuple[str, int] | None
+    wkt: str
+
+
+def system_definition(text: str) -> SystemDefinition | None:
+    """Return the definition of a complete CRS, as WKT 1 of GDAL if that can express it; None if it is unknown.
+
+    Without pyproj, it is not known of a code what it means, nor of WKT whether it is right: both are passed on.
+    """
+    crs = parse_crs(text)
+    if crs is None:
+        if match := re.fullmatch(r"EPSG:(\d{4,5})", text):
+            return SystemDefinition(text, ("EPSG", int(match[1])), "undefined")
+        return SystemDefinition(crs_label(text), None, text) if re.match(r"[A-Z_]+\[", text) else None
+    from pyproj.exceptions import CRSError
+
+    authority, code = crs.to_authority(min_confidence=100) or ("", "")
+    try:
+        wkt = crs.to_wkt("WKT1_GDAL")
+    except CRSError:
+        wkt = crs.to_wkt("WKT2_2019")
+    return SystemDefinition(str(crs.name), (authority, int(code)) if code.isdecimal() else None, str(wkt))
+
+
+def horizontal_wkt(text: str) -> str | None:
+    """Return the system of x and y as WKT that most programs read; None if it is unknown or geocentric.
+
+    The result is the first of ESRI's WKT 1, GDAL's WKT 1, and WKT 2 that defines the same system.
+    """
+    crs = parse_crs(text)
+    crs = crs.sub_crs_list[0] if crs is not None and crs.sub_crs_list else crs
+    if crs is None or crs.is_geocentric:
+        return None
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    for version in ("WKT1_ESRI", "WKT1_GDAL"):
+        with suppress(CRSError):  # the dialect has no name for the method or the datum
+            wkt = str(crs.to_wkt(version))
+            if CRS.from_wkt(wkt).equals(crs, ignore_axis_order=True):
+                return wkt
+    return str(crs.to_wkt("WKT2_2019"))
 
 
 def wkt2(text: str) -> str:
@@ -292,13 +358,22 @@ def to_wgs84(text: str, positions: FloatArray) -> FloatArray:
     """Return longitude and latitude (N, 2) of positions (N, 2) in a known CRS, in degrees of WGS84.
 
     Raises:
-        ValueError: pyproj is not installed or does not know the CRS.
+        ValueError: pyproj is not installed, does not know the CRS, or cannot transform a position to WGS84.
     """
     crs = _known(text)
     from pyproj import Transformer
+    from pyproj.exceptions import ProjError
 
-    transformer = Transformer.from_crs(crs.sub_crs_list[0] if crs.sub_crs_list else crs, "EPSG:4326", always_xy=True)
-    return np.stack(transformer.transform(positions[:, 0], positions[:, 1]), axis=1)
+    try:
+        transformer = Transformer.from_crs(
+            crs.sub_crs_list[0] if crs.sub_crs_list else crs, "EPSG:4326", always_xy=True
+        )
+        degrees = np.stack(transformer.transform(positions[:, 0], positions[:, 1]), axis=1)
+    except ProjError as error:
+        raise ValueError(f"expected a CRS on the Earth, got {crs_name(text)}") from error
+    if not np.isfinite(degrees).all():
+        raise ValueError(f"expected positions inside the area of {crs_name(text)}")
+    return degrees
 
 
 def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:

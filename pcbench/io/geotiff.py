@@ -1,37 +1,54 @@
 """Write rasters of numbers as GeoTIFF, the format of raster layers in QGIS, GDAL and ArcGIS; read them back.
 
-The files are TIFF 6.0 with 32-bit floats, one plane per band, in strips compressed with deflate. The tags for places
-and coordinate systems are those of OGC GeoTIFF 1.1 (OGC 19-008r4), those for names and missing values are GDAL's.
+The files are cloud-optimised (OGC 21-026): all directories come first, that of the full raster before those of its
+overviews, then the pixels of the smallest overview, and those of the full raster last. Values are 32-bit floats, in
+one plane of tiles per band, compressed with deflate. A predictor would make files of distances, whose noise fills all
+bits, a tenth larger. The tags for places are those of OGC GeoTIFF 1.1 (OGC 19-008r4), those for names and missing
+values are GDAL's.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO, Literal, NamedTuple
 from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.crs import epsg_code
+from pcbench.io.geo_keys import geo_keys
+from pcbench.io.tiff import ASCII, DOUBLE, LONG, PLACE, SHORT, Tags, file_header, read_directory
 from pcbench.scratch import atomic_write
 
-_STRIP_BYTES = 1 << 18
+_TILE, _SMALL_TILE = 512, 256  # edges of the tiles of rasters above 512 pixels, and of others
 _MAX_GROWTH = 1032  # of deflate
-_MAX_BYTES = (1 << 32) - 1  # offsets of TIFF have 32 bits
-_HEADER = struct.Struct("<2sHI")
-_ENTRY = struct.Struct("<HHI4s")
-_SHORT, _LONG, _ASCII, _DOUBLE = 3, 4, 2, 12  # types of tags
-_FORMATS = {_SHORT: "H", _LONG: "I", _DOUBLE: "d"}
-_DEFLATE, _PLANES, _FLOAT = 8, 2, 3
-_WIDTH, _HEIGHT, _COMPRESSION, _STRIPS, _BANDS, _ROWS_PER_STRIP, _STRIP_SIZES = 256, 257, 259, 273, 277, 278, 279
-_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _METADATA, _NO_DATA = 33550, 33922, 34735, 42112, 42113
-_MODEL_TYPE, _RASTER_TYPE, _GEOGRAPHIC, _PROJECTED = 1024, 1025, 2048, 3072
+_MAX_CLASSIC_BYTES = (1 << 32) - (1 << 24)  # larger files have offsets of 64 bits; deflate may lengthen noise a little
+_DEFLATE, _PLANES, _FLOAT, _REDUCED = 8, 2, 3, 1
+_SUBFILE, _WIDTH, _HEIGHT, _COMPRESSION, _BANDS = 254, 256, 257, 259, 277
+_TILE_WIDTH, _TILE_HEIGHT, _TILES, _TILE_SIZES = 322, 323, 324, 325
+_PIXEL_SCALE, _TIEPOINT, _METADATA, _NO_DATA = 33550, 33922, 42112, 42113
+
+
+@dataclass(frozen=True)
+class BandText:
+    """Texts of a band that a GIS shows, and the rule for its overviews.
+
+    Attributes:
+        definition: one sentence that defines the values; for signed ones, it says what is positive.
+        unit: unit of the values; None: they have none.
+        overview: value of an overview's pixel, from the four pixels below it that have data: their `mean`, or their
+            `max`. Counts and yes-or-no values have means too: the count per pixel and the share, so that their colours
+            stay the same at each scale.
+    """
+
+    definition: str
+    unit: str | None = None
+    overview: Literal["mean", "max"] = "mean"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +61,15 @@ class Raster:
         north: y of the upper edge of the first row.
         pixel: edge of a pixel, in the unit of x and y.
         crs: coordinate system of x and y, if known.
+        texts: texts and rules of the bands, by their names.
     """
 
-    bands: Mapping[str, NDArray[np.float32]]
+    bands: Mapping[str, NDArray[np.floating] | NDArray[np.integer]]
     west: float
     north: float
     pixel: float
     crs: str | None = None
+    texts: Mapping[str, BandText] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -60,67 +79,47 @@ class Raster:
 
 
 def write_geotiff(path: Path, raster: Raster) -> None:
-    """Write a raster as GeoTIFF with 32-bit floats; missing values are NaN and declared as such.
+    """Write a raster as a cloud-optimised GeoTIFF with 32-bit floats; missing values are NaN and declared as such.
 
-    The coordinate system is written as an EPSG code. Without pyproj, or if the system has no such code, the file has
-    only the place and the size of the pixels, and viewers ask for the system.
+    Overviews halve the raster until it fits into a tile. They are made from the level before, and have a value where
+    one of the four pixels has one. Files above 4 GiB are BigTIFF. The memory needed is a third of the 32-bit raster.
+    `pcbench.io.geo_keys` says how coordinate systems are written. If pyproj does not know the system, viewers ask for
+    it.
 
     Args:
         path: output file.
         raster: the raster. Values are rounded to 32 bits.
 
     Raises:
-        InputError: the raster has no pixels, its bands differ in shape, or it is too large for TIFF (4 GiB).
+        InputError: the raster has no pixels, or its bands differ in shape.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     shapes = {np.shape(values) for values in raster.bands.values()}
-    if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape or not raster.pixel > 0:
+    if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or 0 in shape or not 0 < raster.pixel < np.inf:
         raise InputError(f"{path}: expected a raster with bands of one shape and square pixels")
-    height, width = shape
-    rows = max(1, _STRIP_BYTES // (4 * width))
-    strips = [
-        zlib.compress(np.ascontiguousarray(values[row : row + rows], dtype="<f4").tobytes())
-        for values in raster.bands.values()
-        for row in range(0, height, rows)
-    ]
-    sizes = [len(strip) for strip in strips]
-    if _HEADER.size + sum(sizes) + 1024 * len(raster.bands) + 8 * len(sizes) > _MAX_BYTES:
-        raise InputError(f"{path}: expected a raster that fits into 4 GiB: choose larger pixels")
-    places = (_HEADER.size + np.cumsum([0, *sizes[:-1]])).tolist()
-    count = len(raster.bands)
-    names = "".join(
-        f'<Item name="DESCRIPTION" sample="{k}" role="description">{escape(name)}</Item>'
-        for k, name in enumerate(raster.bands)
-    )
-    tags: dict[int, tuple[int, Sequence[float] | bytes]] = {
-        _WIDTH: (_LONG, [width]),
-        _HEIGHT: (_LONG, [height]),
-        258: (_SHORT, [32] * count),  # bits
-        _COMPRESSION: (_SHORT, [_DEFLATE]),
-        262: (_SHORT, [1]),  # the smallest value is black
-        _STRIPS: (_LONG, places),
-        _BANDS: (_SHORT, [count]),
-        _ROWS_PER_STRIP: (_LONG, [rows]),
-        _STRIP_SIZES: (_LONG, sizes),
-        284: (_SHORT, [_PLANES]),
-        **({338: (_SHORT, [0] * (count - 1))} if count > 1 else {}),  # further bands have no colours
-        339: (_SHORT, [_FLOAT] * count),
-        _PIXEL_SCALE: (_DOUBLE, [raster.pixel, raster.pixel, 0.0]),
-        _TIEPOINT: (_DOUBLE, [0.0, 0.0, 0.0, raster.west, raster.north, 0.0]),
-        **({_GEO_KEYS: (_SHORT, keys)} if (keys := _geo_keys(raster.crs)) else {}),
-        _METADATA: (_ASCII, f"<GDALMetadata>{names}</GDALMetadata>".encode() + b"\0"),
-        _NO_DATA: (_ASCII, b"nan\0"),
-    }
-    start = _HEADER.size + sum(sizes)
-    padding = start % 2  # directories start at even offsets
+    tile = _TILE if max(shape) > _TILE else _SMALL_TILE
+    levels = [_Level(list(raster.bands.values()), tile)]
+    rules = [raster.texts[name].overview if name in raster.texts else "mean" for name in raster.bands]
+    while max(levels[-1].shape) > tile:
+        halves = [halved(band, rule) for band, rule in zip(levels[-1].bands, rules, strict=True)]
+        levels.append(_Level(halves, tile))
+    is_big = sum(level.size for level in levels) > _MAX_CLASSIC_BYTES
+    described = _raster_tags(raster)
+    directories = [level.tags(described if level is levels[0] else {_SUBFILE: (LONG, [_REDUCED])}) for level in levels]
+    start = len(file_header(directories, is_big=is_big))
     with atomic_write(path) as file:
-        file.write(_HEADER.pack(b"II", 42, start + padding))
-        file.writelines(strips)
-        file.write(b"\0" * padding + _directory(tags, start + padding))
+        file.seek(start)
+        for level, tags in reversed(list(zip(levels, directories, strict=True))):
+            sizes = level.write(file)
+            places = start + np.cumsum([0, *sizes])
+            start = int(places[-1])
+            tags |= {_TILES: (PLACE, places[:-1].tolist()), _TILE_SIZES: (LONG, sizes)}
+        file.seek(0)
+        file.write(file_header(directories, is_big=is_big))
 
 
 def read_geotiff(path: Path) -> Raster:
-    """Read a raster that `write_geotiff` wrote, without its coordinate system.
+    """Read a raster that `write_geotiff` wrote, without its coordinate system and texts.
 
     Raises:
         InputError: the file is damaged or another kind of TIFF.
@@ -128,68 +127,128 @@ def read_geotiff(path: Path) -> Raster:
     """
     data = path.read_bytes()
     try:
-        tags = _read_directory(data)
-        (width,), (height,), (count,), (rows,) = (tags[tag] for tag in (_WIDTH, _HEIGHT, _BANDS, _ROWS_PER_STRIP))
-        per_band, strips = -(-height // rows), len(tags[_STRIPS])
-        if strips != count * per_band or 4 * count * height * width > _MAX_GROWTH * len(data):
-            raise ValueError(f"{count} bands of {width} x {height} pixels in {strips} strips and {len(data)} bytes")
+        tags = read_directory(data)
+        (width,), (height,), (count,) = (tags[tag] for tag in (_WIDTH, _HEIGHT, _BANDS))
+        (tile,), (tile_height,) = tags[_TILE_WIDTH], tags[_TILE_HEIGHT]
+        needed = count * -(-height // tile) * -(-width // tile)
+        if (number := len(tags[_TILES])) != needed or tile != tile_height:
+            raise ValueError(f"{count} bands of {width} x {height} pixels in {number} tiles of {tile} x {tile_height}")
+        if 4 * count * height * width > _MAX_GROWTH * len(data):
+            raise ValueError(f"{count} bands of {width} x {height} pixels in {len(data)} bytes")
         values = np.empty((count, height, width), np.float32)
-        for strip, (place, size) in enumerate(zip(tags[_STRIPS], tags[_STRIP_SIZES], strict=True)):
-            band, row = strip // per_band, strip % per_band * rows
-            lines = values[band, row : row + rows]
-            raw = zlib.decompressobj().decompress(data[place : place + size], lines.nbytes + 1)
-            lines[:] = np.frombuffer(raw, "<f4").reshape(lines.shape)
+        blocks = (band[place] for band in values for place in _tile_places((height, width), tile))
+        for block, start, size in zip(blocks, tags[_TILES], tags[_TILE_SIZES], strict=True):
+            raw = zlib.decompressobj().decompress(data[start : start + size], 4 * tile**2 + 1)
+            block[:] = np.frombuffer(raw, "<f4").reshape(tile, tile)[: block.shape[0], : block.shape[1]]
         texts = tags[_METADATA].decode().split('role="description">')[1:]
-        names = [unescape(text.partition("<")[0]) for text in texts]
+        names = [unescape(unescape(text.partition("<")[0])) for text in texts]
         pixel, _, _ = tags[_PIXEL_SCALE]
         west, north = tags[_TIEPOINT][3:5]
         return Raster(dict(zip(names, values, strict=True)), west, north, pixel)
-    # A damaged kind of values is a TypeError or KeyError, a damaged number of rows a ZeroDivisionError.
+    # A damaged kind of values is a TypeError or KeyError, a damaged size of tiles a ZeroDivisionError.
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: expected a GeoTIFF of pcbench: {error}") from error
 
 
-def _geo_keys(crs: str | None) -> list[float]:
-    """Return the key directory of a coordinate system; [] if it has no EPSG code."""
-    epsg = None if crs is None else epsg_code(crs)
-    if epsg is None:
-        return []
-    code, is_geographic = epsg
-    entries = [
-        (_MODEL_TYPE, 2 if is_geographic else 1),
-        (_RASTER_TYPE, 1),  # a pixel is an area
-        (_GEOGRAPHIC if is_geographic else _PROJECTED, code),
+def halved(values: NDArray[np.generic], rule: Literal["mean", "max"]) -> NDArray[np.float32]:
+    """Return a raster (H, W) with pixels of twice the edge, from those of each four pixels that have data.
+
+    The result (ceil(H / 2), ceil(W / 2)) is NaN where all four pixels are NaN.
+    """
+    height, width = values.shape
+    half = np.empty((-(-height // 2), -(-width // 2)), np.float32)
+    for row in range(0, len(half), _TILE):  # some rows at a time: sums are doubles
+        rows = half[row : row + _TILE]
+        block = np.full((2 * rows.shape[0], 2 * rows.shape[1]), np.nan)
+        below = values[2 * row : 2 * row + len(block)]
+        block[: len(below), :width] = below
+        four = block.reshape(len(rows), 2, -1, 2)
+        if rule == "max":
+            rows[:] = np.fmax.reduce(four, axis=(1, 3))
+            continue
+        counts = np.count_nonzero(~np.isnan(four), axis=(1, 3))
+        rows[:] = np.divide(np.nansum(four, axis=(1, 3)), counts, out=np.full(rows.shape, np.nan), where=counts > 0)
+    return half
+
+
+class _Level(NamedTuple):
+    """The bands (H, W) of a raster or of an overview, and the edge of its tiles."""
+
+    bands: Sequence[NDArray[np.generic]]
+    tile: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        height, width = self.bands[0].shape
+        return height, width
+
+    @property
+    def size(self) -> int:
+        """Number of bytes without compression, at most."""
+        return 4 * len(self.bands) * len(_tile_places(self.shape, self.tile)) * self.tile**2
+
+    def tags(self, more: Tags) -> Tags:
+        """Return the tags of the directory, with offsets and sizes of tiles that are still to be set."""
+        count, (height, width) = len(self.bands), self.shape
+        unset = [0] * (count * len(_tile_places(self.shape, self.tile)))
+        return {
+            _WIDTH: (LONG, [width]),
+            _HEIGHT: (LONG, [height]),
+            258: (SHORT, [32] * count),  # bits
+            _COMPRESSION: (SHORT, [_DEFLATE]),
+            262: (SHORT, [1]),  # the smallest value is black
+            _BANDS: (SHORT, [count]),
+            284: (SHORT, [_PLANES]),
+            _TILE_WIDTH: (LONG, [self.tile]),
+            _TILE_HEIGHT: (LONG, [self.tile]),
+            _TILES: (PLACE, unset),
+            _TILE_SIZES: (LONG, unset),
+            **({338: (SHORT, [0] * (count - 1))} if count > 1 else {}),  # further bands have no colours
+            339: (SHORT, [_FLOAT] * count),
+            _NO_DATA: (ASCII, b"nan\0"),
+            **more,
+        }
+
+    def write(self, file: BinaryIO) -> list[int]:
+        """Write the compressed tiles, and return their sizes."""
+        return [file.write(zlib.compress(tile)) for tile in self._tiles()]
+
+    def _tiles(self) -> Iterator[bytes]:
+        for values in self.bands:
+            for place in _tile_places(self.shape, self.tile):
+                block = np.full((self.tile, self.tile), np.nan, "<f4")
+                part = values[place]
+                block[: part.shape[0], : part.shape[1]] = part
+                yield block.tobytes()
+
+
+def _tile_places(shape: tuple[int, int], tile: int) -> list[tuple[slice, slice]]:
+    """Return the rows and columns of each tile of a raster, row by row."""
+    height, width = shape
+    return [
+        (slice(row, row + tile), slice(column, column + tile))
+        for row in range(0, height, tile)
+        for column in range(0, width, tile)
     ]
-    return [1, 1, 0, len(entries), *(number for key, value in entries for number in (key, 0, 1, value))]
 
 
-def _directory(tags: Mapping[int, tuple[int, Sequence[float] | bytes]], start: int) -> bytes:
-    """Return the directory of a TIFF at a byte offset, followed by the values that do not fit into it."""
-    entries, beyond = [], b""
-    end = start + 2 + _ENTRY.size * len(tags) + 4
-    for tag, (kind, values) in sorted(tags.items()):
-        data = values if isinstance(values, bytes) else struct.pack(f"<{len(values)}{_FORMATS[kind]}", *values)
-        if len(data) > 4:
-            place, beyond = end + len(beyond), beyond + data + b"\0" * (len(data) % 2)
-            data = struct.pack("<I", place)
-        entries.append(_ENTRY.pack(tag, kind, len(values), data))
-    return struct.pack("<H", len(tags)) + b"".join(entries) + struct.pack("<I", 0) + beyond
+def _raster_tags(raster: Raster) -> Tags:
+    """Return the tags for place, coordinate system and texts, which only the full raster has."""
+    items = []
+    for k, name in enumerate(raster.bands):
+        items.append(f'<Item name="DESCRIPTION" sample="{k}" role="description">{_escape(name)}</Item>')
+        if (text := raster.texts.get(name)) is not None:
+            items.append(f'<Item name="DEFINITION" sample="{k}">{_escape(text.definition)}</Item>')
+            if text.unit is not None:
+                items.append(f'<Item name="UNITTYPE" sample="{k}" role="unittype">{_escape(text.unit)}</Item>')
+    return {
+        _PIXEL_SCALE: (DOUBLE, [raster.pixel, raster.pixel, 0.0]),
+        _TIEPOINT: (DOUBLE, [0.0, 0.0, 0.0, raster.west, raster.north, 0.0]),
+        **geo_keys(raster.crs),
+        _METADATA: (ASCII, f"<GDALMetadata>{''.join(items)}</GDALMetadata>".encode() + b"\0"),
+    }
 
 
-def _read_directory(data: bytes) -> dict[int, Any]:
-    """Return the values of the tags in the first directory of a TIFF."""
-    mark, version, start = _HEADER.unpack_from(data)
-    if (mark, version) != (b"II", 42):
-        raise ValueError("it is no little-endian TIFF")
-    (count,) = struct.unpack_from("<H", data, start)
-    tags: dict[int, Any] = {}
-    for k in range(count):
-        place = start + 2 + _ENTRY.size * k
-        tag, kind, length, _ = _ENTRY.unpack_from(data, place)
-        form = f"<{length}{'s' if kind == _ASCII else _FORMATS[kind]}"
-        place += 8
-        if struct.calcsize(form) > 4:
-            (place,) = struct.unpack_from("<I", data, place)
-        values = struct.unpack_from(form, data, place)
-        tags[tag] = values[0] if kind == _ASCII else values
-    return tags
+def _escape(text: str) -> str:
+    """Return a text for GDAL's metadata, whose XML is escaped twice."""
+    return escape(escape(text))
