@@ -10,7 +10,6 @@ sums are weighed over all ranges and variances that the data support.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -62,8 +61,8 @@ class ErrorModel:
         scales: factor (S,) of the variances of white and short errors that goes with it.
         weights: posterior probability (S,) of each.
         dof: degrees of freedom of the scale.
-        far_weights: posterior probability of each of `_FAR_RATIOS`: variance of the error as long as the area, in
-            variances of the shorter correlated errors.
+        far_variances: variances (Q,) of an error as long as the area, which the data do not exclude.
+        far_weights: posterior probability (Q,) of each.
         mean: mean of the stable terrain.
         extent: longest edge of the area, in cells: longer errors cannot be told from change.
     """
@@ -78,6 +77,7 @@ class ErrorModel:
     scales: FloatArray
     weights: FloatArray
     dof: float
+    far_variances: FloatArray
     far_weights: FloatArray
     mean: float
     extent: int
@@ -101,7 +101,7 @@ class ErrorModel:
     @property
     def far(self) -> CorrelatedError:
         """The error that is correlated over the whole area, which cannot be told from a change of all of it."""
-        variance = float(self.far_weights @ _FAR_RATIOS) * (self.long.sigma**2 + self.short_sigma**2)
+        variance = float(self.far_weights @ self.far_variances)
         return CorrelatedError(variance**0.5, float(self.extent) if variance > 0 else 0.0)
 
     @property
@@ -116,10 +116,8 @@ class ErrorModel:
             near += self.short_sigma**2 * sums.form(self.short_family, self.short_length)
         forms = [sums.form(family, length) for family, length in zip(self.families, self.ranges, strict=True)]
         within = self.scales * near + self.variances * np.array(forms)
-        whole = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * (
-            self.scales * self.short_sigma**2 + self.variances
-        )
-        return (within[:, None] + whole[:, None] * _FAR_RATIOS).ravel(), np.outer(self.weights, self.far_weights).ravel()
+        whole = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * self.far_variances
+        return np.add.outer(within, whole).ravel(), np.outer(self.weights, self.far_weights).ravel()
 
     def sigma(self, sums: SumWeights) -> float:
         """Return the standard deviation of a weighted sum of cells, in units of heights times weight."""
@@ -334,9 +332,7 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
 def _windows(stable: Mask) -> list[tuple[slice, slice]]:
     """Return windows with the most stable cells, spread over the area."""
     edge = min(_WINDOW, *stable.shape)
-    starts = [
-        np.unique(np.linspace(0, size - edge, min(6, max(1, size // edge))).astype(int)) for size in stable.shape
-    ]
+    starts = [np.unique(np.linspace(0, size - edge, min(6, max(1, size // edge))).astype(int)) for size in stable.shape]
     parts = [(slice(row, row + edge), slice(column, column + edge)) for row in starts[0] for column in starts[1]]
     counts = np.array([np.count_nonzero(stable[part]) for part in parts])
     usable = np.flatnonzero(counts >= max(_MIN_WINDOW_SHARE * edge**2, 16))
@@ -357,11 +353,10 @@ class LagTable(NamedTuple):
 
     @classmethod
     def of(cls, mask: Mask) -> LagTable:
+        """Return the pairs of the cells of a mask (H, W), row by row."""
         height, width = mask.shape
         rows, columns = np.nonzero(mask)
-        down, right = np.meshgrid(
-            np.arange(1.0 - height, height), np.arange(1.0 - width, width), indexing="ij"
-        )
+        down, right = np.meshgrid(np.arange(1.0 - height, height), np.arange(1.0 - width, width), indexing="ij")
         numbers = (rows[:, None] - rows + height - 1) * (2 * width - 1) + columns[:, None] - columns + width - 1
         return cls((down, right), numbers)
 
@@ -403,7 +398,9 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     likelihood = np.concatenate(logs)
     weights = np.exp(likelihood - likelihood.max())
     weights /= weights.sum()
-    best = states[int(weights.argmax())]
+    family, far, variance, scale = states[int(weights.argmax())]
+    others = scale * covariance + variance * _block_correlation(family, pairs, edge, far)
+    shorter = scale * short.variance + variance
     chosen = weights > 1e-4
     families, ranges, variances, scales = (np.array(column) for column in zip(*states, strict=True))
     return ErrorModel(
@@ -417,29 +414,29 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
         scales=scales[chosen],
         weights=weights[chosen] / weights[chosen].sum(),
         dof=float(len(values) - 1 + _KAPPA_DOF),
-        far_weights=_far_weights(values, covariance, short.variance, best, pairs, edge, extent),
+        far_variances=_FAR_RATIOS * shorter,
+        far_weights=_far_weights(values, others, shorter, pairs, edge, extent),
         mean=float(np.average(values, weights=n)),
         extent=extent,
     )
 
 
 def _far_weights(
-    values: FloatArray,
-    covariance: FloatArray,
-    short_variance: float,
-    best: tuple[int, float, float, float],
-    pairs: LagTable,
-    edge: int,
-    extent: int,
+    values: FloatArray, others: FloatArray, shorter: float, pairs: LagTable, edge: int, extent: int
 ) -> FloatArray:
-    """Return the posterior probability of each of `_FAR_RATIOS`, with the other errors as the data support them best.
+    """Return the posterior probability of errors as long as the area, with `_FAR_RATIOS` times a variance.
 
     A long error changes all blocks alike, so that only the few contrasts of largest wavelength can exclude it. What
     they cannot exclude widens the intervals of sums over large parts of the area.
+
+    Args:
+        values: means (n,) of the blocks.
+        others: covariance (n, n) of the other errors, as the data support them best.
+        shorter: variance of the shorter correlated errors.
+        pairs: lags of the blocks.
+        edge: edge of a block, in cells.
+        extent: longest edge of the area, in cells.
     """
-    family, length, variance, scale = best
-    others = scale * covariance + variance * _block_correlation(family, pairs, edge, length)
-    shorter = scale * short_variance + variance
     if not shorter > 0:
         return _FAR_PRIOR
     far = _block_correlation(_GAUSSIAN, pairs, edge, _FAR_LENGTH_SHARE * extent)

@@ -66,6 +66,7 @@ class DemOfDifference:
         by_slope: spread of stable cells by slope.
         by_count: spread of stable cells by the number of points in the sparser epoch.
         datum_sigma: standard deviation of the offset between the epochs.
+        slopes_deg: (H, W) slope of the mean of both epochs.
     """
 
     grid: Grid
@@ -81,6 +82,7 @@ class DemOfDifference:
     by_slope: tuple[ErrorBin, ...]
     by_count: tuple[ErrorBin, ...]
     datum_sigma: float
+    slopes_deg: FloatArray
 
     @property
     def is_offset_subtracted(self) -> bool:
@@ -168,7 +170,20 @@ def difference_of(
             break
         stable = _without_outliers(dz, scaled, allowed & (parts == 0))
     return DemOfDifference(
-        grid, before, after, dz, scaled, filled, stable, offset, model, parts, by_slope, by_count, datum_sigma
+        grid,
+        before,
+        after,
+        dz,
+        scaled,
+        filled,
+        stable,
+        offset,
+        model,
+        parts,
+        by_slope,
+        by_count,
+        datum_sigma,
+        slopes,
     )
 
 
@@ -257,9 +272,7 @@ def _by_bin(
         factor = _nmad(residuals[chosen] / np.sqrt(white[chosen])) / overall
         if not 1 / _SIGNIFICANT_FACTOR < factor < _SIGNIFICANT_FACTOR:
             factors[number] = factor
-        bins.append(
-            ErrorBin(edges[number], edges[number + 1], cells, _nmad(residuals[chosen]), float(factors[number]))
-        )
+        bins.append(ErrorBin(edges[number], edges[number + 1], cells, _nmad(residuals[chosen]), float(factors[number])))
     return tuple(bins), white * factors[numbers] ** 2
 
 

@@ -201,8 +201,8 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Gri
     if grid.size > max_cells * 1.1:
         needed = (_BASE_BYTES + grid.size * BYTES_PER_CELL) / (1 << 20)
         raise InputError(
-            f"expected cells that fit into --memory, got {grid.size:,} of {cell:g}, which need {needed:,.0f} MiB: choose"
-            " larger cells (--cell) or more memory"
+            f"expected cells that fit into --memory, got {grid.size:,} of {cell:g}, which need {needed:,.0f} MiB:"
+            " choose larger cells (--cell) or more memory"
         )
     return grid
 

@@ -1,0 +1,89 @@
+"""The change of an area between two or more epochs: what `pcbench change` measures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.dem.along_normals import NormalVolume
+from pcbench.measure.dem.covariance import Mask
+from pcbench.measure.dem.difference import DemOfDifference
+from pcbench.measure.dem.epochs import Epoch
+from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.profiles import Profile
+from pcbench.measure.dem.series import PlaceChange, Trend, years
+from pcbench.measure.dem.settings import ChangeSettings
+from pcbench.measure.dem.volumes import AreaChange
+
+
+@dataclass(frozen=True, eq=False)
+class EpochChange:
+    """The change from the first epoch to a later one.
+
+    Attributes:
+        epoch: the later epoch.
+        difference: the DEM of difference.
+        areas: change of the whole area, then of the zones, then of the changed parts.
+        along_normals: volume along normals, if it was measured.
+    """
+
+    epoch: Epoch
+    difference: DemOfDifference
+    areas: tuple[AreaChange, ...]
+    along_normals: NormalVolume | None
+
+    @property
+    def whole(self) -> AreaChange:
+        """Change of all that both epochs cover."""
+        return self.areas[0]
+
+    def zones(self, names: Sequence[str]) -> tuple[AreaChange, ...]:
+        """Return the changes of the zones."""
+        return self.areas[1 : 1 + len(names)]
+
+    def parts(self, names: Sequence[str]) -> tuple[AreaChange, ...]:
+        """Return the changed parts, the largest first."""
+        return self.areas[1 + len(names) :]
+
+
+@dataclass(frozen=True, eq=False)
+class AreaHistory:
+    """The change of an area over all epochs.
+
+    Attributes:
+        settings: settings of the measurement.
+        epochs: the epochs in the order given.
+        grid: the cells.
+        zones: cells (H, W) of each zone by its name.
+        changes: change from the first epoch to each later one.
+        profiles: heights along lines.
+        places: change of places.
+        trend: trend of each cell, with three epochs or more.
+        unit: unit of lengths, if known.
+        crs: coordinate system, if known.
+        warnings: what not to trust.
+    """
+
+    settings: ChangeSettings
+    epochs: tuple[Epoch, ...]
+    grid: Grid
+    zones: Mapping[str, Mask]
+    changes: tuple[EpochChange, ...]
+    profiles: tuple[Profile, ...]
+    places: tuple[PlaceChange, ...]
+    trend: Trend | None
+    unit: str | None
+    crs: str | None
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def zone_names(self) -> tuple[str, ...]:
+        """Names of the zones."""
+        return tuple(self.zones)
+
+    @property
+    def times(self) -> FloatArray | None:
+        """Times of the epochs in years since the first; None if one has no date."""
+        return years([epoch.date for epoch in self.epochs])
