@@ -181,7 +181,7 @@ def _along_normals(first: Epoch, second: Epoch, grid: Grid, memory: int) -> Norm
     for epoch in (first, second):
         parts = [read_piece(epoch.cloud, piece).points for piece in epoch.cloud.pieces]
         points.append(np.concatenate([part[grid.surrounds(part)] for part in parts]))
-    return volume_along_normals(*points)
+    return volume_along_normals(points[0], points[1])
 
 
 def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings: ChangeSettings) -> list[str]:

@@ -7,6 +7,7 @@ sum of distances times the surface that each core point stands for.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import cell_means
+from pcbench.measure.dem.covariance import Mask
 from pcbench.measure.dem.volumes import CutFill, MeasuredValue
 from pcbench.measure.deviation import M3C2, m3c2
 
@@ -111,12 +113,9 @@ class _Correlation:
     edges: FloatArray
     covariances: FloatArray
     sigma: float
-    rows: FloatArray
 
     @classmethod
-    def of(
-        cls, cores: FloatArray, distances: FloatArray, sigma: FloatArray, usable: FloatArray, seed: int
-    ) -> _Correlation:
+    def of(cls, cores: FloatArray, distances: FloatArray, sigma: FloatArray, usable: Mask, seed: int) -> _Correlation:
         """Estimate the covariance of errors by lag; it is zero from the first lag on at which it is not positive."""
         rng = np.random.default_rng(seed)
         rows = np.flatnonzero(usable)
@@ -142,17 +141,18 @@ class _Correlation:
             ends = np.flatnonzero(covariances <= 0)
             covariances[ends[0] if len(ends) else _LAG_BINS :] = 0.0
         total = float(covariances[0]) if len(covariances) else 0.0
-        return cls(cores, sigma, edges, covariances, max(total, 0.0) ** 0.5, rows)
+        return cls(cores, sigma, edges, covariances, max(total, 0.0) ** 0.5)
 
     def sigma_of(self, weights: FloatArray) -> float:
         """Return the standard deviation of a weighted sum (K,) of distances."""
         white = float(((weights * self.white) ** 2).sum())
         if not len(self.covariances) or not weights.any():
-            return white**0.5
+            return math.sqrt(white)
         rows = np.flatnonzero(weights)
         chosen = rows[:: max(1, len(rows) // _SAMPLE)]
         lags = np.linalg.norm(self.cores[chosen][:, None] - self.cores[chosen], axis=2)
         values = np.append(self.covariances, 0.0)[np.digitize(lags, self.edges)]
         np.fill_diagonal(values, self.covariances[0])
         scale = weights[rows].sum() / weights[chosen].sum()
-        return float(np.sqrt(white + scale**2 * (weights[chosen] @ values @ weights[chosen])))
+        correlated = scale**2 * float(weights[chosen] @ values @ weights[chosen])
+        return math.sqrt(white + correlated)

@@ -10,6 +10,7 @@ sums are weighed over all ranges and variances that the data support.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -122,7 +123,7 @@ class ErrorModel:
     def sigma(self, sums: SumWeights) -> float:
         """Return the standard deviation of a weighted sum of cells, in units of heights times weight."""
         variances, weights = self.variances_of(sums)
-        return float(weights @ variances) ** 0.5
+        return math.sqrt(float(weights @ variances))
 
     def half_width(self, sums: SumWeights, level: float = 0.95, further_variance: float = 0.0) -> float:
         """Return half the width of the interval of a weighted sum of cells.
@@ -218,7 +219,7 @@ def _lag_products(weights: FloatArray) -> tuple[FloatArray, FloatArray, int]:
     """
     from scipy.fft import irfft2, next_fast_len, rfft2
 
-    step = -(-max(weights.shape) // _MAX_FFT_EDGE)
+    step = -(-int(max(weights.shape)) // _MAX_FFT_EDGE)
     if step > 1:
         pad = [(0, -edge % step) for edge in weights.shape]
         padded = np.pad(weights, pad)
@@ -234,7 +235,8 @@ def _lag_products(weights: FloatArray) -> tuple[FloatArray, FloatArray, int]:
     kept = counts > 0
     means = np.bincount(numbers, distances, _LAG_BINS)[kept] / counts[kept]
     sums = np.bincount(numbers, products.ravel(), _LAG_BINS)[kept]
-    return means * step, sums, step
+    lags: FloatArray = means * step
+    return lags, sums, step
 
 
 def _mean_correlation(family: int, lags: FloatArray, step: int, length: float) -> FloatArray:
@@ -380,7 +382,7 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     pairs = LagTable.of(kept)
     covariance = np.diag(noise) + short.variance * _block_correlation(short.family, pairs, edge, short.length)
     unit = float(np.trace(covariance)) / len(n)
-    factor = np.linalg.cholesky(covariance / unit)
+    factor: FloatArray = np.linalg.cholesky(covariance / unit)
     longest = max(_MAX_RANGE_SHARE * extent / 2, 1.5 * edge)
     lengths = np.geomspace(max(0.5 * edge, 0.8), longest, _LONG_RANGES)
     states, logs = [], []
@@ -440,7 +442,8 @@ def _far_weights(
     if not shorter > 0:
         return _FAR_PRIOR
     far = _block_correlation(_GAUSSIAN, pairs, edge, _FAR_LENGTH_SHARE * extent)
-    eigen = _contrasts(values, np.linalg.cholesky(others), shorter * far)
+    factor: FloatArray = np.linalg.cholesky(others)
+    eigen = _contrasts(values, factor, shorter * far)
     factors = 1 + _FAR_RATIOS[:, None] * eigen.values
     log = -0.5 * (eigen.squares / factors + np.log(factors)).sum(axis=1)
     weights = _FAR_PRIOR * np.exp(log - log.max())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +160,8 @@ def difference_of(
     stable = _without_outliers(dz, white, allowed) if named_stable is None else allowed
     slopes = slopes_deg((before.heights + after.heights) / 2, grid.cell)
     counts = np.minimum(before.counts, after.counts)
-    by_slope, by_count = (), ()
+    by_slope: tuple[ErrorBin, ...] = ()
+    by_count: tuple[ErrorBin, ...] = ()
     model, parts = None, np.zeros(dz.shape, np.int32)
     for _ in range(2):  # the parts that the errors of the first pass show are left out in the second
         by_slope, white_by_slope = _by_bin(dz, white, stable, slopes, _SLOPE_EDGES_DEG)
@@ -211,16 +213,16 @@ def changed_parts(dz: FloatArray, sigma: FloatArray) -> NDArray[np.int32]:
         is_seeded[np.unique(numbers[sign * scores > seed_z])] = True
         is_seeded[0] = False
         sums = np.bincount(numbers.ravel(), np.abs(np.nan_to_num(dz)).ravel(), minlength=count + 1)
-        for number in np.flatnonzero(is_seeded & (cells >= MIN_PART_CELLS)):
+        for number in np.flatnonzero(is_seeded & (cells >= MIN_PART_CELLS)).tolist():
             candidates.append((float(sums[number]), numbers == number))
     parts = np.zeros(dz.shape, np.int32)
     candidates.sort(key=lambda pair: -pair[0])
-    for number, (_, mask) in enumerate(candidates, 1):
-        parts[mask] = number
+    for order, (_, mask) in enumerate(candidates, 1):
+        parts[mask] = order
     core = parts > 0
-    for number, (_, mask) in enumerate(candidates, 1):
+    for order, (_, mask) in enumerate(candidates, 1):
         grown = binary_dilation(mask, eight, iterations=_GROWN_CELLS)
-        parts[grown & ~core & (parts == 0) & np.isfinite(dz)] = number
+        parts[grown & ~core & (parts == 0) & np.isfinite(dz)] = order
     return parts
 
 
@@ -252,7 +254,11 @@ def _is_clustered(mask: Mask) -> Mask:
 
 
 def _by_bin(
-    dz: FloatArray, white: FloatArray, stable: Mask, classes: NDArray[np.generic], edges: tuple[float, ...]
+    dz: FloatArray,
+    white: FloatArray,
+    stable: Mask,
+    classes: NDArray[np.floating[Any] | np.integer[Any]],
+    edges: tuple[float, ...],
 ) -> tuple[tuple[ErrorBin, ...], FloatArray]:
     """Return the spread of stable cells by ranges of a property, and white variances that follow it.
 
@@ -291,8 +297,8 @@ def _filled(dz: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray, 
     tree = KDTree(np.argwhere(measured))
     voids = np.argwhere(~measured)
     count = min(_FILLING_NEIGHBOURS, int(np.count_nonzero(measured)))
-    distances, rows = tree.query(voids, k=count, distance_upper_bound=_FILLING_REACH)
-    distances, rows = distances.reshape(len(voids), count), rows.reshape(len(voids), count)
+    queried = tree.query(voids, k=count, distance_upper_bound=_FILLING_REACH)
+    distances, rows = (np.reshape(values, (len(voids), count)) for values in queried)
     near = np.isfinite(distances)
     enough = near.sum(axis=1) >= min(3, count)
     values, variances = np.append(dz[measured], 0.0), np.append(white[measured], 0.0)

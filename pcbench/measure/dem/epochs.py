@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.crs import check_lengths, crs_name, same_crs, single_unit
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
@@ -72,8 +72,9 @@ class Coverage:
         least = max(math.sqrt(width * height / cells), max(width, height) / cells, self._side)
         return 2.0 ** math.ceil(math.log2(least) - 1e-12)
 
-    def _coarser(self, side: float) -> np.ndarray:
-        return self._cells >> round(math.log2(side / self._side))
+    def _coarser(self, side: float) -> IntArray:
+        cells: IntArray = self._cells >> round(math.log2(side / self._side))
+        return cells
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,12 +83,14 @@ class Grid:
     @property
     def columns_x(self) -> FloatArray:
         """The x of the centres of the columns."""
-        return self.west + (np.arange(self.shape[1]) + 0.5) * self.cell
+        x: FloatArray = self.west + (np.arange(self.shape[1]) + 0.5) * self.cell
+        return x
 
     @property
     def rows_y(self) -> FloatArray:
         """The y of the centres of the rows."""
-        return self.north - (np.arange(self.shape[0]) + 0.5) * self.cell
+        y: FloatArray = self.north - (np.arange(self.shape[0]) + 0.5) * self.cell
+        return y
 
     def centres(self) -> FloatArray:
         """Return the centres (cells, 2) of all cells."""

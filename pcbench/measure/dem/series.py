@@ -52,7 +52,8 @@ def years(dates: Sequence[date | None]) -> FloatArray | None:
     days = np.array([day.toordinal() for day in dates if day is not None], dtype=float)
     if len(np.unique(days)) < len(days):
         return None
-    return (days - days[0]) / DAYS_PER_YEAR
+    times: FloatArray = (days - days[0]) / DAYS_PER_YEAR
+    return times
 
 
 def place_changes(

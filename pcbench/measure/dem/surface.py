@@ -86,9 +86,8 @@ def slopes_deg(heights: FloatArray, cell: float) -> FloatArray:
         pad = [(0, 0), (0, 0)]
         pad[axis] = (1, 1)
         padded = np.pad(steps, pad, constant_values=np.nan)
-        sides = np.stack(
-            [padded.take(range(heights.shape[axis]), axis), padded.take(range(1, heights.shape[axis] + 1), axis)]
-        )
+        size = heights.shape[axis]
+        sides = np.stack([padded.take(range(size), axis), padded.take(range(1, size + 1), axis)])
         known_sides = np.isfinite(sides)
         count = np.maximum(known_sides.sum(axis=0), 1)
         squares += (np.where(known_sides, sides, 0.0).sum(axis=0) / count) ** 2

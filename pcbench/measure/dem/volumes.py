@@ -150,7 +150,7 @@ def _volumes(difference: DemOfDifference, cells: Mask, dz: FloatArray) -> CutFil
         high = volume + max(sign * rest + both, alone)
         sides.append(MeasuredValue(volume + max(sign * rest, 0.0), low, high))
     net = float(dz.sum()) * cell_area
-    return CutFill(*sides, MeasuredValue.within(net, half_width(difference, cells.astype(float))))
+    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, cells.astype(float))))
 
 
 def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray) -> CutFill:
@@ -162,7 +162,7 @@ def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray)
         volume = abs(float(dz[own].sum())) * cell_area
         sides.append(MeasuredValue.within(volume, half_width(difference, own.astype(float)), least=0.0))
     net = sides[0].value - sides[1].value
-    return CutFill(*sides, MeasuredValue.within(net, half_width(difference, beyond.astype(float))))
+    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, beyond.astype(float))))
 
 
 def _centre(difference: DemOfDifference, weights: FloatArray, cells: Mask) -> tuple[float, float]:
