@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import click
 
 from pcbench import __version__
-from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, stress, studies, tradeoff, view
+from pcbench.cli import change, clouds, experiments, reconstruction, reports, scenes, stress, studies, tradeoff, view
 from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
@@ -29,7 +29,7 @@ def app(log: Path | None) -> None:
 
 
 for _command in (
-    *(reports.compare, reports.deform, reports.plot, view.view),
+    *(reports.compare, change.change, reports.deform, reports.plot, view.view),
     *(clouds.info, clouds.crop, clouds.register, clouds.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from pcbench.measure.dem.epochs import (
     check_same_system,
     common_grid,
     date_of,
-    epoch_name,
     epoch_surface,
     open_epoch,
 )
@@ -34,6 +33,11 @@ from pcbench.measure.dem.series import place_changes, trend_of, years
 from pcbench.measure.dem.settings import ChangeSettings
 from pcbench.measure.dem.volumes import WHOLE_AREA, area_changes
 from pcbench.progress import ProgressPlan
+from pcbench.report.change.document import ChangeDocument
+from pcbench.report.change.folder import write_change
+from pcbench.report.figures import Figures
+from pcbench.report.folder import report_folder
+from pcbench.report.names import names_of
 
 _BYTES_PER_NORMAL_POINT = 300
 _MIN_STABLE_SHARE = 0.5
@@ -56,11 +60,8 @@ def open_epochs(
         raise InputError(f"expected {len(paths)} dates, one per epoch, got {len(dates)}")
     filters = parse_filters(settings.classes, settings.returns)
     sources = [Source.open(path, filters) for path in paths]
-    names = [epoch_name(path) for path in paths]
-    repeated = Counter(names)
-    unique = [f"{name} ({k})" if repeated[name] > 1 else name for k, name in enumerate(names, 1)]
     days = [date_of(path.name) for path in paths] if dates is None else list(dates)
-    return list(zip(sources, unique, days, strict=True))
+    return list(zip(sources, names_of(paths), days, strict=True))
 
 
 def measure_change(
@@ -89,7 +90,8 @@ def measure_change(
         surveys.append(open_epoch(source, name, day))
     check_same_system(surveys)
     grid = common_grid(surveys, settings.cell, memory)
-    zones = _zone_masks(settings.zones, grid)
+    regions = {} if settings.zones is None else read_zones(settings.zones)
+    zones = _zone_masks(settings.zones, regions, grid)
     stable = None if settings.stable is None else _stable_mask(settings.stable, grid)
     surfaces = []
     for survey in surveys:
@@ -120,6 +122,7 @@ def measure_change(
         epochs=tuple(surveys),
         grid=grid,
         zones=zones,
+        zone_regions=regions,
         changes=tuple(changes),
         profiles=tuple(profile_along(line, grid, surfaces, differences) for line in settings.profiles),
         places=tuple(place_changes(settings.points, grid, differences)),
@@ -130,16 +133,55 @@ def measure_change(
     )
 
 
-def _zone_masks(path: Path | None, grid: Grid) -> dict[str, Mask]:
+@dataclass(frozen=True, eq=False)
+class ChangeOutcome:
+    """A measured change as plain values, and why the page or requested pictures are missing, or None."""
+
+    document: ChangeDocument
+    without_page: str | None = None
+    without_figures: str | None = None
+
+
+def change_files(
+    epochs: Sequence[tuple[Source, str, date | None]],
+    settings: ChangeSettings,
+    out: Path | None,
+    *,
+    memory: int,
+    figures: Figures | None,
+    step: Callable[[str], None],
+) -> ChangeOutcome:
+    """Measure the change between epochs and write its folder.
+
+    Args:
+        epochs: the epochs in their order, see `open_epochs`.
+        settings: settings of the measurement.
+        out: the output folder; None: write nothing.
+        memory: bytes that may be used.
+        figures: appearance of the pictures; None: draw none.
+        step: called with a short text before each step that takes time.
+
+    Raises:
+        PcbenchError, OSError: an input or the output is invalid; nothing was written.
+    """
+    if out is None:
+        return ChangeOutcome(ChangeDocument.of(measure_change(epochs, settings, memory=memory, step=step)))
+    inputs = [file for source, _, _ in epochs for file in source.files]
+    with report_folder(out, keep=[*inputs, *settings.files]) as folder:
+        history = measure_change(epochs, settings, memory=memory, step=step)
+        document = ChangeDocument.of(history)
+        written = write_change(folder, history, document, figures, step)
+    return ChangeOutcome(document, *written)
+
+
+def _zone_masks(path: Path | None, regions: Mapping[str, Region], grid: Grid) -> dict[str, Mask]:
     """Return the cells of each zone whose centres lie inside.
 
     Raises:
-        InputError: the file is damaged, or a zone has the name of the whole area or no cell.
+        InputError: a zone has the name of the whole area, or no cell.
     """
-    if path is None:
-        return {}
     masks = {}
-    for name, region in read_zones(path).items():
+    for name, region in regions.items():
         mask = _cells_inside(region, grid)
         if name == WHOLE_AREA:
             raise InputError(f"{path}: expected another name than {WHOLE_AREA!r}, which is that of the whole area")

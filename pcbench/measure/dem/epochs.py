@@ -238,8 +238,3 @@ def epoch_surface(epoch: Epoch, grid: Grid, method: Method, memory: int, step: C
     if count != epoch.count:
         raise InputError(f"{epoch.source.path}: expected {epoch.count:,} points, got {count:,}: the file has changed")
     return surface_of(moments, method, np.concatenate(kept) if kept else None)
-
-
-def epoch_name(path: Path) -> str:
-    """Return the name of a survey: that of its file without the extensions, or of its folder."""
-    return path.name.split(".")[0] or path.name

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.regions import Region
 from pcbench.measure.dem.along_normals import NormalVolume
 from pcbench.measure.dem.covariance import Mask
 from pcbench.measure.dem.difference import DemOfDifference
@@ -57,6 +57,7 @@ class AreaHistory:
         epochs: the epochs in the order given.
         grid: the cells.
         zones: cells (H, W) of each zone by its name.
+        zone_regions: the polygons of each zone by its name.
         changes: change from the first epoch to each later one.
         profiles: heights along lines.
         places: change of places.
@@ -70,6 +71,7 @@ class AreaHistory:
     epochs: tuple[Epoch, ...]
     grid: Grid
     zones: Mapping[str, Mask]
+    zone_regions: Mapping[str, Region]
     changes: tuple[EpochChange, ...]
     profiles: tuple[Profile, ...]
     places: tuple[PlaceChange, ...]
@@ -77,11 +79,6 @@ class AreaHistory:
     unit: str | None
     crs: str | None
     warnings: tuple[str, ...]
-
-    @cached_property
-    def zone_names(self) -> tuple[str, ...]:
-        """Names of the zones."""
-        return tuple(self.zones)
 
     @property
     def times(self) -> FloatArray | None:
