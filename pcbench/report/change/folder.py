@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -58,7 +59,9 @@ def write_change(
     if figures is not None:
         record_figures(folder / "settings.json", figures)
         step("drawing the pictures")
-        drawn = draw_if_possible(folder, PICTURES, figures)
+        drawn = draw_if_possible(folder, PICTURES, replace(figures, format="png"))  # for the page
+        if figures.format != "png" and drawn.problem is None:
+            draw_if_possible(folder, PICTURES, figures)
     made = article(document, drawn.relative_to(folder))
     problems = [
         write_page(folder / MARKDOWN, partial(markdown, made)),
