@@ -17,7 +17,7 @@ from pcbench.report.article import (
     Links,
     Paragraph,
 )
-from pcbench.report.change.document import ChangeDocument, ChangeRecord
+from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.tables import MOST_PARTS, epoch_rows, error_rows, series_rows, volume_rows
 from pcbench.report.change.words import (
     answer,
@@ -66,19 +66,19 @@ def _volumes(document: ChangeDocument, drawn: dict[str, str]) -> Iterator[Block]
         yield DataTable(f"Volumes until {change.epoch}", volume_rows(document, change))
         if picture := drawn.get(f"volumes_{change.epoch}"):
             yield Figure(picture, "Volumes with 95 % intervals")
-        yield Paragraph(_legend(change))
+    yield Paragraph(_legend(document))
     files = ["volumes.csv", "parts.geojson", "change.gpkg", SHEETS]
     yield Links([Link(file, file) for file in files])
 
 
-def _legend(change: ChangeRecord) -> str:
+def _legend(document: ChangeDocument) -> str:
     text = (
         "Fill is the volume of the raised cells, cut that of the lowered ones, net their difference, each with its"
         " 95 % interval. Changed parts are summed by the sign of each cell; the rest of an area by its sum, because a sum"
         " by sign would add up its errors. LoD: level of detection."
     )
-    if change.part_count > MOST_PARTS:
-        text += f" The table has the {MOST_PARTS} largest of {change.part_count:,} parts; volumes.csv lists more."
+    if any(change.part_count > MOST_PARTS for change in document.changes):
+        text += f" The table has the {MOST_PARTS} largest parts; volumes.csv lists more."
     return text
 
 

@@ -15,7 +15,7 @@ from pcbench.report.colors import BLUE, GREEN, ORANGE, PURPLE, SERIES, VERMILION
 from pcbench.report.words import printable, shorten_name
 
 _GREY = "#777777"
-_FILL, _CUT = VERMILION, BLUE
+_FILL, _CUT = "#c8373a", "#4a62d0"  # as on the maps
 
 
 def draw_volumes(axis: Any, document: ChangeDocument, change: ChangeRecord, *, most: int) -> None:
@@ -23,8 +23,8 @@ def draw_volumes(axis: Any, document: ChangeDocument, change: ChangeRecord, *, m
     areas: list[AreaChange] = [*change.zones, *change.parts][:most]
     for row, area in enumerate(areas):
         fill, cut, net = area.volumes.fill, area.volumes.cut, area.volumes.net
-        axis.barh(row, fill.value, height=0.62, color=_FILL, alpha=0.55, label="fill" if not row else None)
-        axis.barh(row, -cut.value, height=0.62, color=_CUT, alpha=0.55, label="cut" if not row else None)
+        axis.barh(row, fill.value, height=0.62, color=_FILL, alpha=0.65, label="fill" if not row else None)
+        axis.barh(row, -cut.value, height=0.62, color=_CUT, alpha=0.65, label="cut" if not row else None)
         _error_bar(axis, row, net, "net, 95 % interval" if not row else None)
     axis.axvline(0, color=_GREY, linewidth=0.8)
     axis.set_yticks(range(len(areas)), [shorten_name(area.name, 18) for area in areas], fontsize=9)
@@ -36,7 +36,7 @@ def draw_volumes(axis: Any, document: ChangeDocument, change: ChangeRecord, *, m
     axis.grid(axis="x", alpha=0.3)
     axis.spines[["top", "right", "left"]].set_visible(False)
     axis.tick_params(axis="y", length=0)
-    axis.legend(fontsize=8.5, frameon=False, loc="best")
+    axis.legend(fontsize=8.5, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
 
 
 def _error_bar(axis: Any, row: int, value: MeasuredValue, label: str | None) -> None:
@@ -57,7 +57,7 @@ def draw_profile(axes: Sequence[Any], document: ChangeDocument, number: int) -> 
     above.set_ylabel(f"height{unit}", fontsize=9)
     above.set_title(f"Profile P{number}", fontsize=11)
     above.legend(fontsize=8.5, frameon=False, loc="best")
-    band = np.nanmax(levels, axis=0) if np.isfinite(levels).any() else np.zeros(len(distances))
+    band = np.fmax.reduce(levels)
     below.fill_between(distances, -band, band, color=_GREY, alpha=0.25, linewidth=0, label="level of detection")
     for row, color in zip(heights[1:] - heights[0], _colors(len(heights))[1:], strict=True):
         below.plot(distances, row, color=color, linewidth=1.4)

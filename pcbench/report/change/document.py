@@ -237,7 +237,7 @@ def _change(change: EpochChange, history: AreaHistory) -> ChangeRecord:
         whole=change.whole,
         zones=change.zones(names),
         parts=change.parts(names),
-        part_count=int(difference.parts.max(initial=0)),
+        part_count=0 if difference.model is None else int(difference.parts.max(initial=0)),
         errors=_errors(difference, history.grid.cell),
         along_normals=None
         if normals is None

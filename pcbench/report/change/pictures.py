@@ -95,7 +95,7 @@ def _volumes(document: ChangeDocument, change: ChangeRecord, path: Path) -> bool
     height = figure.get_figheight()
     axis = figure.add_axes((0.16, 0.62 / height, 0.81, 1 - 1.05 / height))
     draw_volumes(axis, document, change, most=rows)
-    axis.set_title(_title(document, change), fontsize=11, parse_math=False)
+    axis.set_title(_title(document, change), fontsize=11, loc="left", parse_math=False)
     save(figure, path)
     return True
 

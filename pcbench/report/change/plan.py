@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.layers import PlanLayers
-from pcbench.report.colors import PURPLE, Range
+from pcbench.report.colors import Range
 from pcbench.report.figures import rgb
 from pcbench.report.plot.rounding import axis_title, round_length, round_origin
 
-_OUTLINE, _ZONE, _PROFILE = "#111111", PURPLE, "#00695c"
+_OUTLINE, _ZONE, _PROFILE = "#111111", "#8e24aa", "#00695c"
 _MOST_NUMBERS = 12
 _TEXT_EDGE = 2.2
 
@@ -73,7 +73,7 @@ def draw_plan(axis: Any, document: ChangeDocument, layers: PlanLayers, scale: Ra
 def change_image(layers: PlanLayers, scale: Range, ground: str) -> NDArray[np.uint8]:
     """Return the picture (H, W, 3): significant changes in colour, others as grey relief, voids as the ground."""
     shade = (0.55 + 0.45 * layers.shade)[..., None]
-    grey = np.rint(255 * (0.62 + 0.33 * layers.shade))[..., None].repeat(3, axis=2)
+    grey = (255 * (0.56 + 0.4 * layers.shade))[..., None].repeat(3, axis=2)
     colors = scale.colors(np.nan_to_num(layers.dz).ravel()).reshape(*layers.dz.shape, 3)
     image = np.where(layers.significant[..., None], colors * (0.6 + 0.4 * shade), grey)
     voids = ~np.isfinite(layers.dz)
@@ -84,9 +84,10 @@ def change_image(layers: PlanLayers, scale: Range, ground: str) -> NDArray[np.ui
 
 def _outline(axis: Any, layers: PlanLayers) -> None:
     """Draw the borders of the changed parts along the borders of pixels."""
-    parts = np.pad(layers.parts, 1)
-    for along, (first, second) in enumerate(((parts[:-1, 1:-1], parts[1:, 1:-1]), (parts[1:-1, :-1], parts[1:-1, 1:]))):
-        rows, columns = np.nonzero(first != second)
+    parts, measured = np.pad(layers.parts, 1), np.pad(np.isfinite(layers.dz), 1, constant_values=True)
+    sides = [(slice(None, -1), slice(1, -1)), (slice(1, None), slice(1, -1))]
+    for along, (first, second) in enumerate((sides, [(columns, rows) for rows, columns in sides])):
+        rows, columns = np.nonzero((parts[first] != parts[second]) & measured[first] & measured[second])
         x, y = layers.west + columns * layers.pixel, layers.north - rows * layers.pixel
         step = layers.pixel
         ends = ((x, x + step), (y, y)) if along == 0 else ((x, x), (y, y - step))

@@ -29,6 +29,10 @@ _MARGIN = 0.7
 _INK, _FAINT = "#1b1c1e", "#666666"
 _LINE = 0.17  # height of a line of text
 _MOST_ROWS = 26
+_LETTER, _DIGIT = 0.535, 0.64  # mean widths of letters in texts and in tables, over the size of the font
+_AXIS_TITLE, _FOOTER = 0.62, 0.65  # heights below a map and at the bottom
+_ROW = 0.2  # height of a row of a table
+_CHART_HEIGHT = 2.3  # of the chart of volumes, where a sheet has room for it
 
 
 def write_sheets(
@@ -85,11 +89,13 @@ def _plan_sheet(document: ChangeDocument, change: ChangeRecord, plan: PlanLayers
         y = _paragraph(figure, y, text, size=8.5, color=_FAINT)
     rows = short_rows(document, change)
     notes = [method_sentence(document), uncertainty_sentence(document), *list(error_sentences(document, change))[-1:]]
-    below = 0.55 + 0.22 * len(rows) + 0.25 + sum(_LINE * 0.9 * len(_wrapped(note, 8)) + 0.05 for note in notes)
-    high, wide = y - 0.3 - below - 0.55, _WIDTH - 2 * _MARGIN - 1.25
+    legend = _legend(document)
+    texts = sum(_paragraph_height(text, 8) for text in (legend, *notes))
+    below = _AXIS_TITLE + texts + 0.24 + _table_height(rows) + _FOOTER
+    high, wide = y - 0.2 - below, _WIDTH - 2 * _MARGIN - 1.25
     scale = min(wide / (plan.east - plan.west), high / (plan.north - plan.south))
     width, height = scale * (plan.east - plan.west), scale * (plan.north - plan.south)
-    left, bottom = _MARGIN + 0.35 + 0.5 * (wide - width), y - 0.2 - height - 0.5 * (high - height) * 0.4
+    left, bottom = _MARGIN + 0.35 + 0.5 * (wide - width), y - 0.2 - height
     axis = figure.add_axes(_box(left, bottom, width, height))
     colors = change_range(plan, end)
     draw_plan(axis, document, plan, colors)
@@ -97,15 +103,22 @@ def _plan_sheet(document: ChangeDocument, change: ChangeRecord, plan: PlanLayers
     unit = f" [{document.unit}]" if document.unit else ""
     level = None if change.errors is None else change.errors.median_level
     color_bar(bar, colors, f"change of height{unit}", level=level)
-    y = bottom - 0.62
-    text = "Red: raised, blue: lowered; grey: below the level of detection; black outlines: changed parts"
-    text += "; violet: zones" * bool(document.zone_rings) + "; green: profiles" * bool(document.profiles) + "."
-    y = _paragraph(figure, y, text, size=8, color=_FAINT)
+    y = _paragraph(figure, bottom - _AXIS_TITLE, legend, size=8, color=_FAINT)
     y = _table(figure, y - 0.12, rows)
     y -= 0.12
     for note in notes:
         y = _paragraph(figure, y, note, size=8)
+    areas = min(len(change.zones) + len(change.parts), 8)
+    tall = min(_CHART_HEIGHT, 0.2 + 0.3 * areas)
+    if areas and y - tall > _FOOTER + 0.9:
+        chart = figure.add_axes(_box(_MARGIN + 0.9, y - 0.3 - tall, _WIDTH - 2 * _MARGIN - 0.9, tall))
+        draw_volumes(chart, document, change, most=areas)
     return figure
+
+
+def _legend(document: ChangeDocument) -> str:
+    text = "Red: raised, blue: lowered; grey: below the level of detection; black outlines: changed parts"
+    return text + "; violet: zones" * bool(document.zone_rings) + "; green: profiles" * bool(document.profiles) + "."
 
 
 def _survey(epoch: Any) -> str:
@@ -146,7 +159,7 @@ def _parts_sheet(document: ChangeDocument, change: ChangeRecord) -> Any:
     rows = volume_rows(document, change)[:_MOST_ROWS]
     y = _table(figure, y - 0.1, rows) - 0.35
     most = min(len(change.zones) + len(change.parts), 14)
-    height = min(0.5 + 0.3 * most, y - 1.4)
+    height = min(0.3 + 0.36 * most, y - 1.4)
     axis = figure.add_axes(_box(_MARGIN + 0.9, y - height, _WIDTH - 2 * _MARGIN - 0.9, height))
     draw_volumes(axis, document, change, most=most)
     return figure
@@ -167,7 +180,7 @@ def _heading(figure: Any, text: str) -> float:
 
 
 def _wrapped(text: str, size: float) -> list[str]:
-    return wrap(printable(text), int((_WIDTH - 2 * _MARGIN) * 148 / size))
+    return wrap(printable(text), int((_WIDTH - 2 * _MARGIN) * 72 / (_LETTER * size)))
 
 
 def _paragraph(figure: Any, y: float, text: str, *, size: float, color: str = _INK) -> float:
@@ -178,6 +191,14 @@ def _paragraph(figure: Any, y: float, text: str, *, size: float, color: str = _I
     return y - 0.05
 
 
+def _paragraph_height(text: str, size: float) -> float:
+    return len(_wrapped(text, size)) * _LINE * max(size / 9, 0.85) + 0.05
+
+
+def _table_height(rows: Sequence[Sequence[str]]) -> float:
+    return len(rows) * _ROW + 0.04 + _ROW
+
+
 def _table(figure: Any, y: float, rows: Sequence[Sequence[str]]) -> float:
     """Write a table with its header between lines, and return the height of the line below it."""
     from matplotlib.lines import Line2D
@@ -186,7 +207,7 @@ def _table(figure: Any, y: float, rows: Sequence[Sequence[str]]) -> float:
     widths[0] = max(min(widths[0], 24), 12)
     total = sum(widths)
     inner = _WIDTH - 2 * _MARGIN
-    size = min(8.5, inner / total * 148 / 1.0)
+    size = min(8.5, inner * 72 / (_DIGIT * total))
     rights = [_MARGIN + inner * sum(widths[: k + 1]) / total for k in range(len(widths))]
 
     def rule(height: float, weight: float) -> None:
@@ -196,7 +217,7 @@ def _table(figure: Any, y: float, rows: Sequence[Sequence[str]]) -> float:
 
     rule(y + 0.05, 1.0)
     for number, row in enumerate(rows):
-        y -= 0.2
+        y -= _ROW
         for k, cell in enumerate(row):
             weight = "bold" if number == 0 or (number == 1 and k <= 1) else "normal"
             text = shorten_name(cell, 26) if k == 0 else cell
@@ -206,7 +227,7 @@ def _table(figure: Any, y: float, rows: Sequence[Sequence[str]]) -> float:
             rule(y - 0.02, 0.5)
             y -= 0.04
     rule(y - 0.03, 1.0)
-    return y - 0.2
+    return y - _ROW
 
 
 def _footer(figure: Any, document: ChangeDocument, number: int, count: int) -> None:

@@ -7,13 +7,11 @@ from collections.abc import Iterator, Sequence
 from pcbench.measure.dem.volumes import AreaChange, MeasuredValue
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
 from pcbench.report.change.words import (
-    area_unit,
     epoch_text,
     measured_text,
     number_text,
     peak,
     place_text,
-    volume_unit,
 )
 from pcbench.report.markup import csv_text
 from pcbench.report.words import UNKNOWN, columns, pad, percentage
@@ -31,13 +29,18 @@ _CSV_HEADER = (
 
 def volume_rows(document: ChangeDocument, change: ChangeRecord) -> list[list[str]]:
     """Return the header and the rows of the table of volumes: the whole area, the zones, and the largest parts."""
-    unit = document.unit
-    volume = volume_unit(unit)
-    header = ["", f"net [{volume}]", "fill", "cut", f"area [{area_unit(unit)}]", f"mean [{unit or 'unit'}]", "peak"]
-    rows = [[*header, "below LoD", "centre"], _row("whole area", change.whole)]
+    head = ["", *_heads(document, net=3, fill=0, cut=0, area=2, mean=1, peak=0), "below LoD", "centre"]
+    rows = [head, _row("whole area", change.whole)]
     rows += [_row(zone.name, zone) for zone in change.zones]
     rows += [_row(part.name, part) for part in change.parts[:MOST_PARTS]]
     return rows
+
+
+def _heads(document: ChangeDocument, **powers: int) -> list[str]:
+    """Return titles of columns with the power of the unit, if it is known and the power is not 0."""
+    marks = {1: "", 2: "²", 3: "³"}
+    unit = document.unit
+    return [f"{name} [{unit}{marks[power]}]" if unit and power else name for name, power in powers.items()]
 
 
 def _row(name: str, area: AreaChange) -> list[str]:
@@ -49,16 +52,16 @@ def _row(name: str, area: AreaChange) -> list[str]:
         number_text(area.area),
         number_text(area.mean.value, signed=True),
         number_text(peak(area), signed=True),
-        percentage(area.undetected_share),
+        UNKNOWN if area.mean.low != area.mean.low else percentage(area.undetected_share),
         place_text(area.centre),
     ]
 
 
 def short_rows(document: ChangeDocument, change: ChangeRecord, most: int = 6) -> list[list[str]]:
     """Return a table of volumes for a sheet: fewer columns, and at most so many parts."""
-    unit = document.unit
-    rows = [["", f"net [{volume_unit(unit)}]", "fill", "cut", f"area [{area_unit(unit)}]", f"peak [{unit or 'unit'}]"]]
-    for name, area in (("whole area", change.whole), *((each.name, each) for each in (*change.zones, *change.parts[:most]))):
+    rows = [["", *_heads(document, net=3, fill=0, cut=0, area=2, peak=1)]]
+    areas = [("whole area", change.whole), *((each.name, each) for each in (*change.zones, *change.parts[:most]))]
+    for name, area in areas:
         full = _row(name, area)
         rows.append([*full[:5], full[6]])
     return rows
@@ -66,7 +69,7 @@ def short_rows(document: ChangeDocument, change: ChangeRecord, most: int = 6) ->
 
 def epoch_rows(document: ChangeDocument) -> list[list[str]]:
     """Return the table of epochs."""
-    rows = [["epoch", "date", "file", "points", f"area [{area_unit(document.unit)}]", "points per cell"]]
+    rows = [["epoch", "date", "file", "points", *_heads(document, area=2), "points per cell"]]
     for epoch in document.epochs:
         density = epoch.points / epoch.area * document.cell_area
         row = [epoch.name, epoch.date or UNKNOWN, epoch.path, f"{epoch.points:,}", number_text(epoch.area)]
@@ -76,9 +79,9 @@ def epoch_rows(document: ChangeDocument) -> list[list[str]]:
 
 def series_rows(document: ChangeDocument) -> list[list[str]]:
     """Return the table of volumes and of places against time; only the header with two epochs and no places."""
-    unit, first = document.unit, document.epochs[0]
-    places = [f"{place_text(each.place)} [{unit or 'unit'}]" for each in document.places]
-    rows = [[f"since {epoch_text(first)}", f"net [{volume_unit(unit)}]", "fill", "cut", *places]]
+    places = [place_text(each.place) for each in document.places]
+    heads = _heads(document, net=3, fill=0, cut=0, **dict.fromkeys(places, 1))
+    rows = [[f"since {epoch_text(document.epochs[0])}", *heads]]
     for number, (change, epoch) in enumerate(zip(document.changes, document.epochs[1:], strict=True)):
         volumes = change.whole.volumes
         values = [measured_text(volumes.net, signed=True), measured_text(volumes.fill), measured_text(volumes.cut)]
@@ -95,7 +98,7 @@ def error_rows(document: ChangeDocument, change: ChangeRecord) -> list[list[str]
     """Return the table of the spread of stable cells by slope and by number of points."""
     errors = change.errors
     assert errors is not None
-    rows = [["stable cells", "cells", f"spread (NMAD) [{document.unit or 'unit'}]", "factor of the white error"]]
+    rows = [["stable cells", "cells", *_heads(document, **{"spread (NMAD)": 1}), "factor of the white error"]]
     for bins, name in ((errors.by_slope, "slope {:g} to {:g}°"), (errors.by_count, "{:g} to {:g} points")):
         for each in bins:
             label = name.format(each.low, min(each.high, 90) if bins is errors.by_slope else each.high - 1)
@@ -121,8 +124,8 @@ def _csv_rows(document: ChangeDocument) -> Iterator[list[str | float | None]]:
     for change, epoch in zip(document.changes, document.epochs[1:], strict=True):
         areas = [("all", change.whole), *(("zone", zone) for zone in change.zones)]
         for kind, area in [*areas, *(("part", part) for part in change.parts)]:
-            values = (area.volumes.net, area.volumes.fill, area.volumes.cut, area.mean)
-            values += (area.detected.net, area.detected.fill, area.detected.cut)
+            values = [area.volumes.net, area.volumes.fill, area.volumes.cut, area.mean]
+            values += [area.detected.net, area.detected.fill, area.detected.cut]
             row: list[str | float | None] = [change.epoch, epoch.date, kind, area.name, *area.centre]
             row += [area.area, area.void_area, area.filled_area]
             row += [None if end != end else end for value in values for end in value]

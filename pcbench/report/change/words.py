@@ -19,6 +19,7 @@ METHODS = {
     "tin": "the triangulated points at the centre of a cell",
 }
 _DIGITS = 3
+_LEAST_SHARE = 1e-3  # of the white error; smaller errors are not named
 
 
 def decimals_for(largest: float) -> int:
@@ -193,29 +194,34 @@ def error_sentences(document: ChangeDocument, change: ChangeRecord) -> Iterator[
     kinds += [
         f"{length_text(error.sigma, unit)} over {length_text(error.range, unit)}"
         for error in (errors.short, errors.long)
-        if error.sigma > 0
+        if error.sigma > _LEAST_SHARE * errors.white
     ]
     terrain = "the named stable terrain" if errors.offset is not None else "terrain without visible change"
     yield (
         f"Errors of a cell (one standard deviation, {change.epoch}): {', '.join(kinds)}, estimated on"
         f" {area_text(errors.stable_area, unit)} of {terrain}."
     )
-    yield f"{_assumption(document, errors)}"
+    yield _assumption(document, errors)
 
 
 def _assumption(document: ChangeDocument, errors: ErrorRecord) -> str:
     unit = document.unit
-    long = (
-        f"An error as long as the area is in the intervals with {length_text(errors.whole.sigma, unit)}, as far as the"
-        " data do not exclude it"
-    )
+    long = "The data show no error as long as the area"
+    if errors.whole.sigma > _LEAST_SHARE * errors.white:
+        long = (
+            f"An error as long as the area is in the intervals with {length_text(errors.whole.sigma, unit)}, as far as"
+            " the data do not exclude it"
+        )
     if errors.offset is not None:
         return (
             f"{long}. The mean difference of the stable terrain, {length_text(errors.offset, unit)}, was subtracted,"
             " and its error is in the intervals."
         )
     if errors.datum_sigma > 0:
-        return f"{long}, and an offset between the epochs with {length_text(errors.datum_sigma, unit)}, as given."
+        return (
+            f"{long}. An offset between the epochs is in the intervals with {length_text(errors.datum_sigma, unit)}, as"
+            " given (--datum-sigma)."
+        )
     return (
         f"{long}. An offset in height between the epochs cannot be told from change and is in no interval: name stable"
         " terrain (--stable), or state the offset's standard deviation (--datum-sigma)."
