@@ -322,9 +322,9 @@ def _plot_report(
     drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
-            f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a bench"
-            " (bench.json), change (change.json), views (scores.json), an experiment (experiment.json), stress (stress.json) or tradeoff"
-            " (tradeoff.json)"
+            f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a change"
+            " (change.json), a bench (bench.json), views (scores.json), an experiment (experiment.json), stress"
+            " (stress.json) or tradeoff (tradeoff.json)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)

@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 
@@ -67,7 +66,7 @@ class Coverage:
         return len(np.unique(self._coarser(side), axis=0)) * side**2
 
     def _least_side(self, cells: int) -> float:
-        """Return the smallest power of two, not below the present side, with at most so many cells in the extent."""
+        """Return the smallest power of two, not below the present side, with at most that many cells in the extent."""
         width, height = self.high[:2] - self.low[:2]
         least = max(math.sqrt(width * height / cells), max(width, height) / cells, self._side)
         return 2.0 ** math.ceil(math.log2(least) - 1e-12)

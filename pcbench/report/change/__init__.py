@@ -1,1 +1,1 @@
-"""What `pcbench change` says and draws: texts, tables, maps, pictures and sheets of the change between epochs."""
+"""The change between epochs in texts, tables, maps, pictures and sheets of the change between epochs."""

@@ -67,15 +67,15 @@ def _volumes(document: ChangeDocument, drawn: dict[str, str]) -> Iterator[Block]
         if picture := drawn.get(f"volumes_{change.epoch}"):
             yield Figure(picture, "Volumes with 95 % intervals")
     yield Paragraph(_legend(document))
-    files = ["volumes.csv", "parts.geojson", "change.gpkg", SHEETS]
+    files = ["volumes.csv", "parts.geojson", "change.gpkg", *([SHEETS] if PurePath(SHEETS).stem in drawn else [])]
     yield Links([Link(file, file) for file in files])
 
 
 def _legend(document: ChangeDocument) -> str:
     text = (
         "Fill is the volume of the raised cells, cut that of the lowered ones, net their difference, each with its"
-        " 95 % interval. Changed parts are summed by the sign of each cell; the rest of an area by its sum, because a sum"
-        " by sign would add up its errors. LoD: level of detection."
+        " 95 % interval. Changed parts are summed by the sign of each cell; the rest of an area by its sum, because a"
+        " sum by sign would add up its errors. LoD: level of detection."
     )
     if any(change.part_count > MOST_PARTS for change in document.changes):
         text += f" The table has the {MOST_PARTS} largest parts; volumes.csv lists more."

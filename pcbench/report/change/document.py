@@ -72,8 +72,8 @@ class ErrorRecord:
     median_level: float
     stable_area: float
     offset: float | None
-    by_slope: tuple[ErrorBin, ...]
-    by_count: tuple[ErrorBin, ...]
+    by_slope: tuple[ErrorBin, ...] = ()
+    by_count: tuple[ErrorBin, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.io import write_cloud
@@ -59,7 +59,7 @@ def _difference_raster(difference: DemOfDifference, history: AreaHistory) -> Ras
             "sigma": (difference.sigma, BandText("Standard deviation of dz from all errors.", unit)),
             "lod": (
                 difference.level_of_detection,
-                BandText("Level of detection at 95 %: 1.96 sigma, which 95 % of cells without change stay below.", unit),
+                BandText("Level of detection: 95 % of cells without change stay below these 1.96 sigma.", unit),
             ),
             "significance": (
                 difference.dz / difference.sigma,
@@ -111,7 +111,8 @@ def _write_cells(path: Path, difference: DemOfDifference, history: AreaHistory) 
     cloud = Cloud(points, attributes=attributes, crs=history.crs, unit=history.unit)
     if not is_known_crs(cloud.crs):  # LAS needs a coordinate system with a known definition, not just a name
         cloud = replace(cloud, crs=None, unit=None)
-    with suppress(InputError):  # coordinates that 32 bits cannot store: the GeoTIFF has the same values
+    # Without the extra, or with coordinates that 32 bits cannot store, the GeoTIFF has the same values.
+    with suppress(InputError, MissingExtra):
         write_cloud(path, cloud, on_warning=lambda _: None)
 
 

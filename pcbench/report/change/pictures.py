@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,13 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the pictures of a folder that `pcbench change` wrote."""
     document = read_document(folder)
     layers = cache(partial(read_layers, folder))
+    # Each epoch has the same colours, so that their maps can be compared.
+    colors = max(
+        (change_range(layers(change.epoch), look.range) for change in document.changes), key=attrgetter("high")
+    )
     result: dict[str, Picture] = {}
     for change in document.changes:
-        result[f"plan_{change.epoch}"] = Picture(partial(_plan, document, change, layers, look))
+        result[f"plan_{change.epoch}"] = Picture(partial(_plan, document, change, layers, look, colors))
         result[f"volumes_{change.epoch}"] = Picture(partial(_volumes, document, change), "there are no parts or zones")
         result[f"sigma_{change.epoch}"] = Picture(partial(_sigma, document, change, layers, look))
     for number in range(1, len(document.profiles) + 1):
@@ -42,13 +47,14 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
         result["series"] = Picture(partial(_series, document))
     if document.trend is not None:
         result["trend"] = Picture(partial(_trend, document, folder, look))
-    result["sheets"] = Picture(partial(write_sheets, document, layers, look.range), file=SHEETS)
+    result["sheets"] = Picture(partial(write_sheets, document, layers, colors), file=SHEETS)
     return result
 
 
-def _plan(document: ChangeDocument, change: ChangeRecord, layers: PlanReader, look: Figures, path: Path) -> bool:
+def _plan(
+    document: ChangeDocument, change: ChangeRecord, layers: PlanReader, look: Figures, scale: Range, path: Path
+) -> bool:
     plan = layers(change.epoch)
-    scale = change_range(plan, look.range)
     figure, axis, bar = _map_figure(plan)
     draw_plan(axis, document, plan, scale, ground=look.ground("white"))
     axis.set_title(_title(document, change), fontsize=11, parse_math=False)

@@ -26,7 +26,9 @@ def paper(color: str = "white") -> list[Any]:
     return [withStroke(linewidth=_TEXT_EDGE, foreground=color)]
 
 
-def draw_plan(axis: Any, document: ChangeDocument, layers: PlanLayers, scale: Range, *, ground: str = "#ffffff") -> None:
+def draw_plan(
+    axis: Any, document: ChangeDocument, layers: PlanLayers, scale: Range, *, ground: str = "#ffffff"
+) -> None:
     """Draw the plan view into axes.
 
     Args:

@@ -9,17 +9,18 @@ from typing import Any
 
 from pcbench.report.change.charts import draw_profile, draw_series, draw_volumes, series_panels
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
-from pcbench.report.change.layers import PlanLayers, change_range
+from pcbench.report.change.layers import PlanLayers
 from pcbench.report.change.plan import color_bar, draw_plan
 from pcbench.report.change.tables import series_rows, short_rows, volume_rows
 from pcbench.report.change.words import (
-    answer,
     epoch_text,
     error_sentences,
+    headline,
     method_sentence,
     system_sentence,
     uncertainty_sentence,
 )
+from pcbench.report.colors import Range
 from pcbench.report.plot.outputs import METADATA
 from pcbench.report.plot.panels import new_figure
 from pcbench.report.words import printable, shorten_name
@@ -35,37 +36,35 @@ _ROW = 0.2  # height of a row of a table
 _CHART_HEIGHT = 2.3  # of the chart of volumes, where a sheet has room for it
 
 
-def write_sheets(
-    document: ChangeDocument, layers: Callable[[str], PlanLayers], range_end: float | None, path: Path
-) -> bool:
+def write_sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], colors: Range, path: Path) -> bool:
     """Write the sheets of a change; the same change gives the same bytes.
 
     Args:
         document: the change.
         layers: returns the rasters of an epoch.
-        range_end: end of the colour range; None: from the changes.
+        colors: colour range of the changes.
         path: the PDF file.
     """
     import matplotlib
     from matplotlib.backends.backend_pdf import PdfPages
 
     # Sheets are for paper, whatever the background of the pictures.
-    colors = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), _INK)
+    inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), _INK)
     white = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "#ffffff")
     title = f"Change from {epoch_text(document.epochs[0])} to {epoch_text(document.epochs[-1])}"
     with (
-        matplotlib.rc_context({**colors, **white}),
+        matplotlib.rc_context({**inks, **white}),
         PdfPages(path, metadata={**METADATA["pdf"], "Title": printable(title)}) as pages,
     ):
-        for figure in _sheets(document, layers, range_end):
+        for figure in _sheets(document, layers, colors):
             pages.savefig(figure)
     return True
 
 
-def _sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], end: float | None) -> Iterator[Any]:
+def _sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], colors: Range) -> Iterator[Any]:
     makers: list[Callable[[], Any]] = []
     for change in document.changes[::-1]:  # the latest epoch first
-        makers.append(lambda change=change: _plan_sheet(document, change, layers(change.epoch), end))
+        makers.append(lambda change=change: _plan_sheet(document, change, layers(change.epoch), colors))
     for first in range(0, len(document.profiles), 2):
         makers.append(lambda first=first: _profile_sheet(document, first))
     if len(document.changes) > 1 or document.places:
@@ -78,12 +77,11 @@ def _sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], end: 
         yield figure
 
 
-def _plan_sheet(document: ChangeDocument, change: ChangeRecord, plan: PlanLayers, end: float | None) -> Any:
+def _plan_sheet(document: ChangeDocument, change: ChangeRecord, plan: PlanLayers, colors: Range) -> Any:
     figure = new_figure(_WIDTH, _HEIGHT)
     later = next(epoch for epoch in document.epochs[1:] if epoch.name == change.epoch)
     y = _heading(figure, f"Change of height and volumes, {epoch_text(document.epochs[0])} to {epoch_text(later)}")
-    sentence = next(text for text in answer(document) if f" and {epoch_text(later)}: " in text)
-    y = _paragraph(figure, y, sentence, size=10)
+    y = _paragraph(figure, y, headline(document, change, later), size=10)
     lines = [f"{_survey(each)}" for each in (document.epochs[0], later)]
     for text in (*lines, system_sentence(document)):
         y = _paragraph(figure, y, text, size=8.5, color=_FAINT)
@@ -97,7 +95,6 @@ def _plan_sheet(document: ChangeDocument, change: ChangeRecord, plan: PlanLayers
     width, height = scale * (plan.east - plan.west), scale * (plan.north - plan.south)
     left, bottom = _MARGIN + 0.35 + 0.5 * (wide - width), y - 0.2 - height
     axis = figure.add_axes(_box(left, bottom, width, height))
-    colors = change_range(plan, end)
     draw_plan(axis, document, plan, colors)
     bar = figure.add_axes(_box(left + width + 0.2, bottom + 0.1 * height, 0.16, 0.8 * height))
     unit = f" [{document.unit}]" if document.unit else ""

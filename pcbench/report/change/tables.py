@@ -58,7 +58,7 @@ def _row(name: str, area: AreaChange) -> list[str]:
 
 
 def short_rows(document: ChangeDocument, change: ChangeRecord, most: int = 6) -> list[list[str]]:
-    """Return a table of volumes for a sheet: fewer columns, and at most so many parts."""
+    """Return a table of volumes for a sheet: fewer columns, and at most `most` parts."""
     rows = [["", *_heads(document, net=3, fill=0, cut=0, area=2, peak=1)]]
     areas = [("whole area", change.whole), *((each.name, each) for each in (*change.zones, *change.parts[:most]))]
     for name, area in areas:

@@ -80,15 +80,16 @@ def epoch_text(epoch: EpochRecord) -> str:
 
 
 def answer(document: ChangeDocument) -> Iterator[str]:
-    """Yield what changed, for each later epoch."""
+    """Yield what changed: the volumes until each later epoch, then what is known of the change until the last one."""
     for change, epoch in zip(document.changes, document.epochs[1:], strict=True):
-        yield _headline(document, change, epoch)
-        yield from _verdicts(document, change)
+        yield headline(document, change, epoch)
+    yield from _verdicts(document, document.changes[-1])
     if document.trend is not None:
         yield _trend(document)
 
 
-def _headline(document: ChangeDocument, change: ChangeRecord, epoch: EpochRecord) -> str:
+def headline(document: ChangeDocument, change: ChangeRecord, epoch: EpochRecord) -> str:
+    """Return the volumes between the first epoch and a later one in one sentence."""
     whole, unit = change.whole, volume_unit(document.unit)
     volumes = whole.volumes
     mean = measured_text(whole.mean, signed=True)
@@ -109,18 +110,19 @@ def _with_unit_inside(value: MeasuredValue, unit: str, *, signed: bool = False) 
 def _verdicts(document: ChangeDocument, change: ChangeRecord) -> Iterator[str]:
     whole = change.whole
     net = whole.volumes.net
+    until = f" until {change.epoch}" if len(document.changes) > 1 else ""
     if net.low <= 0 <= net.high:
-        yield "The net volume cannot be told from zero: its 95 % interval has both signs."
+        yield f"The net volume{until} cannot be told from zero: its 95 % interval has both signs."
     if change.errors is None:
         return
     if not change.part_count:
-        yield "No part of the area changed by more than its errors explain."
+        yield f"No part of the area changed{until} by more than its errors explain."
     else:
         largest = change.parts[0]
         verb = "rose" if peak(largest) > 0 else "fell"
         volume = _with_unit_inside(largest.volumes.net, volume_unit(document.unit), signed=True)
         yield (
-            f"{pluralize(change.part_count, 'part')} of the area changed. The largest {verb} at"
+            f"{pluralize(change.part_count, 'part')} of the area changed{until}. The largest {verb} at"
             f" {place_text(largest.centre)} by {volume} over {area_text(largest.area, document.unit)}, at most"
             f" {length_text(abs(peak(largest)), document.unit)}."
         )
