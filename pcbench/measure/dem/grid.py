@@ -83,13 +83,13 @@ class Grid:
     @property
     def columns_x(self) -> FloatArray:
         """The x of the centres of the columns."""
-        x: FloatArray = self.west + (np.arange(self.shape[1]) + 0.5) * self.cell
+        x: FloatArray = self.west + np.arange(0.5, self.shape[1]) * self.cell
         return x
 
     @property
     def rows_y(self) -> FloatArray:
         """The y of the centres of the rows."""
-        y: FloatArray = self.north - (np.arange(self.shape[0]) + 0.5) * self.cell
+        y: FloatArray = self.north - np.arange(0.5, self.shape[0]) * self.cell
         return y
 
     def centres(self) -> FloatArray:

@@ -13,7 +13,7 @@ from pcbench.measure.dem.difference import DemOfDifference
 from pcbench.measure.dem.epochs import Epoch
 from pcbench.measure.dem.grid import Grid
 from pcbench.measure.dem.profiles import Profile
-from pcbench.measure.dem.series import PlaceChange, Trend, years
+from pcbench.measure.dem.series import HeightTrend, PlaceChange, years
 from pcbench.measure.dem.settings import ChangeSettings
 from pcbench.measure.dem.volumes import AreaChange
 
@@ -77,7 +77,7 @@ class AreaHistory:
     changes: tuple[EpochChange, ...]
     profiles: tuple[Profile, ...]
     places: tuple[PlaceChange, ...]
-    trend: Trend | None
+    trend: HeightTrend | None
     unit: str | None
     crs: str | None
     warnings: tuple[str, ...]

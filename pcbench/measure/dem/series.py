@@ -30,7 +30,7 @@ class PlaceChange:
 
 
 @dataclass(frozen=True, eq=False)
-class Trend:
+class HeightTrend:
     """Straight line through the heights of each cell, in units of height per year, or per epoch without dates.
 
     Attributes:
@@ -75,7 +75,7 @@ def place_changes(
     return result
 
 
-def trend_of(differences: Sequence[DemOfDifference], times: FloatArray | None) -> Trend | None:
+def trend_of(differences: Sequence[DemOfDifference], times: FloatArray | None) -> HeightTrend | None:
     """Return the trend of each cell; None with fewer than three epochs.
 
     The first epoch is part of all differences, so its error is common to them. An unknown common height is estimated
@@ -114,4 +114,6 @@ def trend_of(differences: Sequence[DemOfDifference], times: FloatArray | None) -
             misfit += weight * np.nan_to_num(height - level - rate * time) ** 2
         scale = np.maximum(misfit / np.maximum(count - 2, 1), 1.0)
     usable = count >= 3
-    return Trend(np.where(usable, rate, np.nan), np.where(usable, np.sqrt(variance * scale), np.nan), times is not None)
+    return HeightTrend(
+        np.where(usable, rate, np.nan), np.where(usable, np.sqrt(variance * scale), np.nan), times is not None
+    )

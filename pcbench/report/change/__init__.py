@@ -1,1 +1,1 @@
-"""The change between epochs in texts, tables, maps, pictures and sheets of the change between epochs."""
+"""The change between epochs as texts, tables, maps, pictures and sheets."""

@@ -20,7 +20,7 @@ from pcbench.measure.dem.difference import DemOfDifference, ErrorBin
 from pcbench.measure.dem.epochs import Epoch
 from pcbench.measure.dem.grid import Grid
 from pcbench.measure.dem.result import AreaHistory, EpochChange
-from pcbench.measure.dem.series import Trend
+from pcbench.measure.dem.series import HeightTrend
 from pcbench.measure.dem.volumes import AreaChange, CutFill, MeasuredValue
 from pcbench.report.document import provenance
 
@@ -272,7 +272,7 @@ def _errors(difference: DemOfDifference, cell: float) -> ErrorRecord | None:
     )
 
 
-def _trend(trend: Trend) -> TrendRecord:
+def _trend(trend: HeightTrend) -> TrendRecord:
     with np.errstate(invalid="ignore"):
         scores = trend.rate / trend.sigma
     count = max(int(np.isfinite(trend.rate).sum()), 1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.geotiff import halved, read_geotiff
@@ -37,7 +38,7 @@ class PlanLayers:
 
     dz: FloatArray
     sigma: FloatArray
-    significant: np.ndarray  # type: ignore[type-arg]
+    significant: NDArray[np.bool_]
     parts: FloatArray
     shade: FloatArray
     west: float
@@ -65,11 +66,11 @@ def read_layers(folder: Path, epoch: str) -> PlanLayers:
     """Read the layers of the change to an epoch, thinned so that they fit into a picture."""
     raster = read_geotiff(folder / difference_file(epoch))
     names = ("dz", "sigma", "significance", "part", "height_after")
-    dz, sigma, scores, parts, heights = (raster.bands[name] for name in names)
+    dz, sigma, scores, parts, heights = (raster.bands[name].astype(float) for name in names)
     pixel, rows, columns = raster.pixel, *dz.shape
     while max(dz.shape) > _MOST_PIXELS:
-        dz, sigma, scores, heights = (halved(each, "mean") for each in (dz, sigma, scores, heights))
-        parts, pixel = halved(parts, "max"), 2 * pixel
+        dz, sigma, scores, heights = (_half_size(each) for each in (dz, sigma, scores, heights))
+        parts, pixel = halved(parts, "max").astype(float), 2 * pixel
     return PlanLayers(
         dz=dz,
         sigma=sigma,
@@ -87,10 +88,11 @@ def read_layers(folder: Path, epoch: str) -> PlanLayers:
 def trend_layers(folder: Path) -> PlanLayers:
     """Read the trend of the cells as a change: rates beyond 1.96 standard errors are significant."""
     raster = read_geotiff(folder / MAPS / TREND)
-    rate, sigma, pixel = raster.bands["rate"], raster.bands["sigma"], raster.pixel
+    rate, sigma = (raster.bands[name].astype(float) for name in ("rate", "sigma"))
+    pixel = raster.pixel
     rows, columns = rate.shape
     while max(rate.shape) > _MOST_PIXELS:
-        rate, sigma, pixel = halved(rate, "mean"), halved(sigma, "mean"), 2 * pixel
+        rate, sigma, pixel = _half_size(rate), _half_size(sigma), 2 * pixel
     with np.errstate(invalid="ignore", divide="ignore"):
         significant = np.abs(np.nan_to_num(rate / sigma)) > LEVEL_Z
     return PlanLayers(
@@ -107,19 +109,23 @@ def trend_layers(folder: Path) -> PlanLayers:
     )
 
 
+def _half_size(values: FloatArray) -> FloatArray:
+    return halved(values, "mean").astype(float)
+
+
 def hillshade(heights: FloatArray, pixel: float) -> FloatArray:
     """Return the brightness (H, W) from 0 to 1 of a surface that is lit from the north-west; flat terrain is 0.5.
 
     The slopes are exaggerated so that both flat and steep terrain show their relief.
     """
-    known = np.isfinite(heights)
-    if not known.any():
+    measured = np.isfinite(heights)
+    if not measured.any():
         return np.ones(heights.shape)
-    values = np.where(known, heights, np.median(heights[known])).astype(float)
+    values = np.where(measured, heights, np.median(heights[measured])).astype(float)
     south, east = (np.gradient(values, pixel, axis=axis) if values.shape[axis] > 1 else 0 * values for axis in (0, 1))
-    inner = known.copy()
+    inner = measured.copy()
     for axis in (0, 1):
-        inner &= np.roll(known, 1, axis) & np.roll(known, -1, axis)
+        inner &= np.roll(measured, 1, axis) & np.roll(measured, -1, axis)
     typical = float(np.mean(np.hypot(south, east)[inner])) if inner.any() else 0.0
     scale = _RELIEF / typical if typical > 0 else 1.0
     azimuth, height = np.radians(_SUN_AZIMUTH_DEG), np.radians(_SUN_HEIGHT_DEG)
@@ -127,7 +133,7 @@ def hillshade(heights: FloatArray, pixel: float) -> FloatArray:
     lit = (-scale * east * towards[0] + scale * south * towards[1] + towards[2]) / np.sqrt(
         1 + (scale * south) ** 2 + (scale * east) ** 2
     )
-    return np.where(inner, np.clip(0.5 + 0.75 * (lit - towards[2]), 0.0, 1.0), np.where(known, 0.5, 1.0))
+    return np.where(inner, np.clip(0.5 + 0.75 * (lit - towards[2]), 0.0, 1.0), np.where(measured, 0.5, 1.0))
 
 
 def change_range(layers: PlanLayers, end: float | None) -> Range:

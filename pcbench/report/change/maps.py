@@ -22,7 +22,7 @@ from pcbench.io.vector import Feature, VectorLayer, polygon_within, polygons_tog
 from pcbench.measure.dem.difference import DemOfDifference
 from pcbench.measure.dem.outlines import outlines_of
 from pcbench.measure.dem.result import AreaHistory, EpochChange
-from pcbench.measure.dem.series import Trend
+from pcbench.measure.dem.series import HeightTrend
 from pcbench.measure.dem.volumes import AreaChange
 
 MAPS = "maps"
@@ -54,7 +54,7 @@ def write_maps(folder: Path, history: AreaHistory) -> None:
 def _difference_raster(difference: DemOfDifference, history: AreaHistory) -> Raster:
     unit = history.unit
     with np.errstate(invalid="ignore"):
-        bands = {
+        bands: dict[str, tuple[NDArray[Any], BandText]] = {
             "dz": (difference.dz, BandText("Later height less earlier height; positive: raised.", unit)),
             "sigma": (difference.sigma, BandText("Standard deviation of dz from all errors.", unit)),
             "lod": (
@@ -77,7 +77,7 @@ def _difference_raster(difference: DemOfDifference, history: AreaHistory) -> Ras
     return _raster(bands, history)
 
 
-def _trend_raster(trend: Trend, history: AreaHistory) -> Raster:
+def _trend_raster(trend: HeightTrend, history: AreaHistory) -> Raster:
     per = "year" if trend.is_per_year else "epoch"
     unit = f"{history.unit or 'unit'}/{per}"
     bands = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -64,13 +65,12 @@ def write_sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], 
 def _sheets(document: ChangeDocument, layers: Callable[[str], PlanLayers], colors: Range) -> Iterator[Any]:
     makers: list[Callable[[], Any]] = []
     for change in document.changes[::-1]:  # the latest epoch first
-        makers.append(lambda change=change: _plan_sheet(document, change, layers(change.epoch), colors))
-    for first in range(0, len(document.profiles), 2):
-        makers.append(lambda first=first: _profile_sheet(document, first))
+        makers.append(partial(_plan_sheet, document, change, layers(change.epoch), colors))
+    makers += [partial(_profile_sheet, document, first) for first in range(0, len(document.profiles), 2)]
     if len(document.changes) > 1 or document.places:
-        makers.append(lambda: _series_sheet(document))
+        makers.append(partial(_series_sheet, document))
     if document.changes[-1].parts or document.changes[-1].zones:
-        makers.append(lambda: _parts_sheet(document, document.changes[-1]))
+        makers.append(partial(_parts_sheet, document, document.changes[-1]))
     for number, make in enumerate(makers, 1):
         figure = make()
         _footer(figure, document, number, len(makers))
