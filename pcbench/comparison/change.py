@@ -113,7 +113,9 @@ def measure_change(
                 f"{surveys[0].source.path} and {survey.source.path}: expected cells with points of both epochs, got"
                 " none: check that they show the same area, or choose larger cells (--cell)"
             )
-        normals = _along_normals(surveys[0], survey, grid, memory) if settings.normals else None
+        normals = None
+        if settings.normals:
+            normals = _along_normals(surveys[0], survey, grid, memory, settings.datum_sigma)
         changes.append(EpochChange(survey, difference, tuple(area_changes(difference, zones)), normals))
     differences = [change.difference for change in changes]
     times = years([survey.date for survey in surveys])
@@ -207,7 +209,7 @@ def _cells_inside(region: Region, grid: Grid) -> Mask:
     return np.array(rows)
 
 
-def _along_normals(first: Epoch, second: Epoch, grid: Grid, memory: int) -> NormalVolume:
+def _along_normals(first: Epoch, second: Epoch, grid: Grid, memory: int, datum_sigma: float) -> NormalVolume:
     """Read the points of both epochs in the grid, and measure the volume along normals.
 
     Raises:
@@ -223,7 +225,7 @@ def _along_normals(first: Epoch, second: Epoch, grid: Grid, memory: int) -> Norm
     for epoch in (first, second):
         parts = [read_piece(epoch.cloud, piece).points for piece in epoch.cloud.pieces]
         points.append(np.concatenate([part[grid.surrounds(part)] for part in parts]))
-    return volume_along_normals(points[0], points[1])
+    return volume_along_normals(points[0], points[1], datum_sigma=datum_sigma)
 
 
 def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings: ChangeSettings) -> list[str]:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.order_statistics import NORMAL_MAD
-from pcbench.geometry.voxels import cell_means
+from pcbench.geometry.voxels import cells
 from pcbench.measure.dem.covariance import Mask
 from pcbench.measure.dem.volumes import CutFill, MeasuredValue
 from pcbench.measure.deviation import M3C2, m3c2
@@ -55,7 +55,9 @@ class NormalVolume:
     undetected_share: float
 
 
-def volume_along_normals(before: FloatArray, after: FloatArray, seed: int = 0) -> NormalVolume:
+def volume_along_normals(
+    before: FloatArray, after: FloatArray, *, datum_sigma: float = 0.0, seed: int = 0
+) -> NormalVolume:
     """Measure the volume between two clouds along the normals of the first.
 
     The fill lies on the side that the normals point to, which is upwards, or away from the material on a wall as far as
@@ -64,6 +66,7 @@ def volume_along_normals(before: FloatArray, after: FloatArray, seed: int = 0) -
     Args:
         before: points (N, 3) of the first epoch.
         after: points (M, 3) of the second epoch.
+        datum_sigma: standard deviation of an offset in height between the epochs.
         seed: random seed of the sample from which the correlation of errors is estimated.
     """
     origin = before.mean(axis=0)
@@ -71,19 +74,22 @@ def volume_along_normals(before: FloatArray, after: FloatArray, seed: int = 0) -
     surface = Surface(first)
     radius = _RADIUS_SPACINGS * max(surface.spacing, Surface(second).spacing)
     side = 2 * radius
-    cores = cell_means(first.points, side)
+    low = first.points.min(axis=0)
+    grid = cells(first.points, side, low)
+    cores = np.stack([grid.means(first.points[:, axis]) for axis in range(3)], axis=1)
+    cubes, counts = np.floor((first.points[grid.first] - low) / side).astype(np.int64), grid.counts
     normals = surface.normals(first.query(cores).indices)
     usable = np.isfinite(normals).all(axis=1)
     cores, normals = cores[usable], normals[usable]
     result = m3c2(first, second, cores, normals, radius=radius, half_length=_HALF_LENGTH_RADII * radius)
-    areas = side**2 / np.abs(normals).sum(axis=1)
+    areas = _areas(cubes[usable], counts[usable], normals, side)
     measured = np.isfinite(result.distances)
     distances = np.where(measured, result.distances, 0.0)
     tested = np.isfinite(result.lod)
     sigma = np.where(tested, result.sigma, np.median(result.sigma[tested]) if tested.any() else 0.0)
     correlation = _Correlation.of(cores, distances, sigma, measured & tested, seed)
     halves = [
-        1.96 * correlation.sigma_of(areas * chosen)
+        1.96 * math.hypot(correlation.sigma_of(areas * chosen), datum_sigma * float(areas * chosen @ normals[:, 2]))
         for chosen in (measured & (distances > 0), measured & (distances < 0), measured)
     ]
     fill, cut = (float((areas * np.maximum(sign * distances, 0)).sum()) for sign in (1, -1))
@@ -102,6 +108,29 @@ def volume_along_normals(before: FloatArray, after: FloatArray, seed: int = 0) -
         float(areas[steep].sum() / areas.sum()) if len(areas) else 0.0,
         float(areas[measured & (np.abs(distances) <= level)].sum() / area) if area else 1.0,
     )
+
+
+def _areas(cubes: IntArray, counts: IntArray, normals: FloatArray, side: float) -> FloatArray:
+    """Return the surface (K,) that each core point stands for.
+
+    Along the axis that is closest to its normal, a surface passes through one cube of a column or through adjacent
+    ones. These share the surface in the column by their numbers of points. Separate cubes, such as the floor and the
+    roof of a cave, each have it whole.
+    """
+    axes = np.abs(normals).argmax(axis=1)
+    result = np.empty(len(cubes))
+    for axis in range(3):
+        rows = np.flatnonzero(axes == axis)
+        across = [other for other in range(3) if other != axis]
+        order = rows[np.lexsort((cubes[rows, axis], cubes[rows, across[1]], cubes[rows, across[0]]))]
+        if not len(order):
+            continue
+        steps = np.diff(cubes[order], axis=0)
+        starts = np.concatenate([[True], (steps[:, across] != 0).any(axis=1) | (steps[:, axis] > 1)])
+        runs = np.cumsum(starts) - 1
+        result[order] = counts[order] / np.bincount(runs, counts[order])[runs]
+    areas: FloatArray = side**2 * result / np.abs(normals).max(axis=1)
+    return areas
 
 
 @dataclass(frozen=True, eq=False)
