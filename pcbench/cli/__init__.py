@@ -11,6 +11,7 @@ import click
 
 from pcbench import __version__
 from pcbench.cli import (
+    change,
     checkpoints,
     clouds,
     convert,
@@ -41,7 +42,7 @@ def app(log: Path | None) -> None:
 
 
 for _command in (
-    *(reports.compare, reports.deform, reports.plot, view.view, checkpoints.checkpoints),
+    *(reports.compare, change.change, reports.deform, reports.plot, view.view, checkpoints.checkpoints),
     *(clouds.info, clouds.crop, clouds.register, convert.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),

@@ -305,6 +305,7 @@ def _plot_report(
 ) -> None:
     """Draw the pictures of a report into its folder."""
     from pcbench.progress import Step
+    from pcbench.report.change.folder import PICTURES as CHANGE
     from pcbench.report.figures import recorded_figures
     from pcbench.report.manifest import complete_replacement
     from pcbench.report.plot import REPORT, draw, drawing_seconds
@@ -318,13 +319,13 @@ def _plot_report(
     from pcbench.studies.views.pictures import PICTURES as VIEWS
 
     complete_replacement(report)
-    kinds = (REPORT, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, CHECK_POINTS)
+    kinds = (REPORT, CHANGE, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, CHECK_POINTS)
     drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
-            f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a bench"
-            " (bench.json), views (scores.json), an experiment (experiment.json), stress (stress.json), tradeoff"
-            " (tradeoff.json) or check points (checkpoints.json)"
+            f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a change"
+            " (change.json), a bench (bench.json), views (scores.json), an experiment (experiment.json), stress"
+            " (stress.json), tradeoff (tradeoff.json) or check points (checkpoints.json)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)

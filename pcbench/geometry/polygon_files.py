@@ -40,6 +40,37 @@ def read_polygon(path: str | Path) -> Polygon | Union:
     return polygon
 
 
+def read_zones(path: str | Path) -> dict[str, Polygon | Union]:
+    """Read polygons by their names from a GeoJSON or WKT file.
+
+    The name of a feature of GeoJSON is its property `name`, `zone`, `id` or `label`, its id, or else "zone" with its
+    number. Features of one name are one zone. A file of another kind is one zone with the name of the file.
+
+    Raises:
+        InputError: the file cannot be read or has no polygon.
+    """
+    whole = read_polygon(path)
+    try:
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+    except ValueError:
+        content = None
+    if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
+        return {Path(path).stem: whole}
+    parts: dict[str, list[_Part]] = {}
+    for number, feature in enumerate(content["features"], 1):
+        parts.setdefault(_feature_name(feature, number), []).extend(_feature_parts(feature))
+    return {name: _union(polygons) for name, polygons in parts.items() if polygons}
+
+
+def _feature_name(feature: dict[str, Any], number: int) -> str:
+    properties = feature.get("properties")
+    values = {str(key).lower(): value for key, value in properties.items()} if isinstance(properties, dict) else {}
+    for value in (*(values.get(key) for key in ("name", "zone", "id", "label")), feature.get("id")):
+        if isinstance(value, str | int) and not isinstance(value, bool) and str(value).strip():
+            return " ".join(str(value).split())
+    return f"zone {number}"
+
+
 def _polygon_from(data: bytes) -> Polygon | Union:
     expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
     try:

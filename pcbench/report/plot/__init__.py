@@ -29,10 +29,12 @@ class Picture(NamedTuple):
     Args:
         draw: writes the picture to a path; returns false if there is nothing to draw.
         reason: the message for a user who requested it by name if there is nothing to draw.
+        file: its path relative to the folder if it has only one format; None: `figures/NAME.FORMAT`.
     """
 
     draw: Callable[[Path], bool]
     reason: str = "there is nothing to draw"
+    file: str | None = None
 
 
 class Drawer(NamedTuple):

@@ -46,7 +46,7 @@ def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ())
     written = []
     with drawing_style(look):
         for name, ending in requested or [(name, look.format) for name in pictures]:
-            path = folder / "figures" / f"{name}.{ending}"
+            path = folder / (pictures[name].file or f"figures/{name}.{ending}")
             if pictures[name].draw(path):
                 written.append(path.relative_to(folder))
             elif requested:

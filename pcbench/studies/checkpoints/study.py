@@ -21,6 +21,7 @@ from pcbench.measure.checkpoints.statement import statements
 from pcbench.report.checkpoints import accuracy_sentences, method_sentence, point_csv
 from pcbench.report.document import provenance
 from pcbench.report.figures import Figures, record_figures
+from pcbench.report.html import InputRow
 from pcbench.report.plot import Drawn
 from pcbench.scratch import atomic_write
 from pcbench.studies.checkpoints.charts import draw_charts
@@ -77,8 +78,8 @@ def run_checkpoints(
 
         step("computing digests")
         inputs = [
-            ("cloud", str(cloud), source.digest()),
-            ("check points", str(points_file), digest(points_file)),
+            InputRow("cloud", str(cloud), source.digest()),
+            InputRow("check points", str(points_file), digest(points_file)),
         ]
         texts = {CSV: point_csv(study.accuracy)}
         drawing = None if figures is None else draw

@@ -1,0 +1,313 @@
+"""The DEM of difference of two epochs, the error of each cell, and the terrain and the parts that changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights, fit_errors
+from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.surface import Surface, slopes_deg
+
+LEVEL_Z = 1.96
+"""Standard deviations of the level of detection, which 95 % of differences without change do not exceed."""
+_NMAD = 1.4826
+_OUTLIER_Z = 3.0
+_FAMILY_ERROR = 0.01
+"""Probability that errors alone make any part that counts as a change, if they are normal."""
+MIN_PART_CELLS = 4
+_GROWN_CELLS = 2
+_SLOPE_EDGES_DEG = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.001)
+_COUNT_EDGES = (1, 2, 3, 5, 8, 15, 30, 10**9)
+_MIN_BIN_CELLS = 150
+_SIGNIFICANT_FACTOR = 1.25
+_FILLING_NEIGHBOURS, _FILLING_REACH = 8, 5.0
+
+
+@dataclass(frozen=True)
+class ErrorBin:
+    """Spread of the differences of stable cells in a range of slope or of points per cell.
+
+    Attributes:
+        low: lower end of the range.
+        high: upper end of the range.
+        cells: number of stable cells.
+        nmad: normalised median absolute deviation of their differences, in the unit of heights.
+        factor: factor of the standard deviation of the white error in this range.
+    """
+
+    low: float
+    high: float
+    cells: int
+    nmad: float
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class DemOfDifference:
+    """Differences of the heights of two epochs.
+
+    Attributes:
+        grid: the cells.
+        before: heights of the first epoch.
+        after: heights of the second epoch.
+        dz: (H, W) differences, later minus earlier; NaN in voids. The offset of the stable terrain is subtracted if
+            that terrain was named.
+        white: (H, W) variances of the differences as the scatter of the points states them, relative to the model.
+        filled: (H, W) cells without points in an epoch whose difference was interpolated.
+        stable: (H, W) cells without change, from which the errors were estimated.
+        offset: mean difference of the named stable terrain, which was subtracted; None: none was named.
+        model: errors of the cells; None: the stable terrain is too small.
+        parts: (H, W) number of the changed part of each cell, from 1; 0 outside.
+        by_slope: spread of stable cells by slope.
+        by_count: spread of stable cells by the number of points in the sparser epoch.
+        datum_sigma: standard deviation of the offset between the epochs.
+        slopes_deg: (H, W) slope of the mean of both epochs.
+    """
+
+    grid: Grid
+    before: Surface
+    after: Surface
+    dz: FloatArray
+    white: FloatArray
+    filled: Mask
+    stable: Mask
+    offset: float | None
+    model: ErrorModel | None
+    parts: NDArray[np.int32]
+    by_slope: tuple[ErrorBin, ...]
+    by_count: tuple[ErrorBin, ...]
+    datum_sigma: float
+    slopes_deg: FloatArray
+
+    @property
+    def is_offset_subtracted(self) -> bool:
+        """Whether the mean difference of named stable terrain was subtracted."""
+        return self.offset is not None
+
+    @property
+    def measured(self) -> Mask:
+        """The cells (H, W) that have a difference."""
+        return np.isfinite(self.dz)
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """Standard deviation (H, W) of the difference of each cell, from all errors; NaN in voids."""
+        return cell_sigma(self.model, self.white, self.datum_sigma)
+
+    @property
+    def level_of_detection(self) -> FloatArray:
+        """The size (H, W) that 95 % of differences without change do not exceed; NaN in voids."""
+        return LEVEL_Z * self.sigma
+
+    @property
+    def significant(self) -> Mask:
+        """The cells (H, W) whose difference exceeds the level of detection."""
+        return np.abs(np.nan_to_num(self.dz)) > np.nan_to_num(self.level_of_detection, nan=np.inf)
+
+    def sum_weights(self, weights: FloatArray) -> SumWeights:
+        """Return the moments of a weighted sum of differences (H, W), with the error of a subtracted offset."""
+        if self.is_offset_subtracted:
+            weights = weights - weights.sum() / np.count_nonzero(self.stable) * self.stable
+        return SumWeights.of(weights, np.nan_to_num(self.white))
+
+
+def cell_sigma(model: ErrorModel | None, white: FloatArray, datum_sigma: float) -> FloatArray:
+    """Return the standard deviation (H, W) of the difference of each cell from all errors."""
+    scale, correlated = (1.0, 0.0) if model is None else (model.white_scale, model.correlated_sigma)
+    result: FloatArray = np.sqrt(scale * white + correlated**2 + datum_sigma**2)
+    return result
+
+
+def difference_of(
+    grid: Grid,
+    before: Surface,
+    after: Surface,
+    *,
+    named_stable: Mask | None = None,
+    is_filled: bool = False,
+    datum_sigma: float = 0.0,
+) -> DemOfDifference:
+    """Return the DEM of difference of two epochs.
+
+    Args:
+        grid: the cells of both.
+        before: heights of the first epoch.
+        after: heights of the second epoch.
+        named_stable: cells (H, W) that are known not to have changed; their mean difference is subtracted.
+        is_filled: whether voids are filled from their neighbours.
+        datum_sigma: standard deviation of an offset between the epochs, in the unit of heights.
+    """
+    dz = after.heights - before.heights
+    white = before.variances + after.variances
+    voids = ~np.isfinite(dz)
+    filled = np.zeros(dz.shape, dtype=bool)
+    if is_filled and voids.any() and not voids.all():
+        dz, white, filled = _filled(dz, white)
+    floor = np.nanmedian(white) * 1e-6 if np.isfinite(white).any() else 0.0
+    white = np.maximum(white, max(float(floor), 1e-24))
+    offset = None
+    allowed = np.isfinite(dz) & ~filled
+    if named_stable is not None:
+        allowed &= named_stable
+        offset = float(dz[allowed].mean()) if allowed.any() else 0.0
+        dz = dz - offset
+    stable = _without_outliers(dz, white, allowed) if named_stable is None else allowed
+    slopes = slopes_deg((before.heights + after.heights) / 2, grid.cell)
+    counts = np.minimum(before.counts, after.counts)
+    by_slope: tuple[ErrorBin, ...] = ()
+    by_count: tuple[ErrorBin, ...] = ()
+    model, parts = None, np.zeros(dz.shape, np.int32)
+    for _ in range(2):  # the parts that the errors of the first pass show are left out in the second
+        by_slope, white_by_slope = _by_bin(dz, white, stable, slopes, _SLOPE_EDGES_DEG)
+        by_count, scaled = _by_bin(dz, white_by_slope, stable, counts, _COUNT_EDGES)
+        model = fit_errors(np.nan_to_num(dz), np.nan_to_num(scaled, nan=1.0), stable)
+        parts = changed_parts(dz, cell_sigma(model, scaled, datum_sigma))
+        if named_stable is not None:
+            break
+        stable = _without_outliers(dz, scaled, allowed & (parts == 0))
+    return DemOfDifference(
+        grid,
+        before,
+        after,
+        dz,
+        scaled,
+        filled,
+        stable,
+        offset,
+        model,
+        parts,
+        by_slope,
+        by_count,
+        datum_sigma,
+        slopes,
+    )
+
+
+def changed_parts(dz: FloatArray, sigma: FloatArray) -> NDArray[np.int32]:
+    """Return the number (H, W) of the changed part of each cell, from 1 for the largest sum; 0 outside of parts.
+
+    A part consists of connected cells of one sign beyond the level of detection, of which at least one exceeds the
+    level that the errors of all cells reach with a probability of `_FAMILY_ERROR`. It is grown by `_GROWN_CELLS` cells,
+    so that its flat edge belongs to it.
+    """
+    from scipy.ndimage import binary_dilation, label
+    from scipy.special import ndtri
+
+    size = max(int(np.count_nonzero(np.isfinite(dz))), 1)
+    seed_z = float(ndtri(1 - _FAMILY_ERROR / (2 * size)))
+    scores = np.nan_to_num(dz / sigma)
+    candidates: list[tuple[float, Mask]] = []
+    eight = np.ones((3, 3), dtype=bool)
+    for sign in (1, -1):
+        numbers, count = label(sign * scores > LEVEL_Z, structure=eight)
+        if not count:
+            continue
+        cells = np.bincount(numbers.ravel(), minlength=count + 1)
+        is_seeded = np.zeros(count + 1, dtype=bool)
+        is_seeded[np.unique(numbers[sign * scores > seed_z])] = True
+        is_seeded[0] = False
+        sums = np.bincount(numbers.ravel(), np.abs(np.nan_to_num(dz)).ravel(), minlength=count + 1)
+        for number in np.flatnonzero(is_seeded & (cells >= MIN_PART_CELLS)).tolist():
+            candidates.append((float(sums[number]), numbers == number))
+    parts = np.zeros(dz.shape, np.int32)
+    candidates.sort(key=lambda pair: -pair[0])
+    for order, (_, mask) in enumerate(candidates, 1):
+        parts[mask] = order
+    core = parts > 0
+    for order, (_, mask) in enumerate(candidates, 1):
+        grown = binary_dilation(mask, eight, iterations=_GROWN_CELLS)
+        parts[grown & ~core & (parts == 0) & np.isfinite(dz)] = order
+    return parts
+
+
+def _without_outliers(dz: FloatArray, white: FloatArray, allowed: Mask) -> Mask:
+    """Return the allowed cells without those far from the median, and without the neighbours of groups of these.
+
+    The spread about the median includes the correlated errors, so that these are not cut off.
+    """
+    from scipy.ndimage import binary_dilation
+
+    if not allowed.any():
+        return allowed
+    values = dz[allowed]
+    median = np.median(values)
+    spread = _NMAD * np.median(np.abs(values - median))
+    correlated = max(spread**2 - float(np.median(white[allowed])), 0.0)
+    with np.errstate(invalid="ignore"):
+        outlying = allowed & (np.abs(dz - median) > _OUTLIER_Z * np.sqrt(white + correlated))
+    kept: Mask = allowed & ~binary_dilation(outlying & _is_clustered(outlying), iterations=2) & ~outlying
+    return kept if np.count_nonzero(kept) >= 0.1 * np.count_nonzero(allowed) else allowed & ~outlying
+
+
+def _is_clustered(mask: Mask) -> Mask:
+    """Return the cells of a mask of which at least three more of the 24 around are in the mask."""
+    from scipy.ndimage import uniform_filter
+
+    result: Mask = mask & (uniform_filter(mask.astype(float), 5, mode="constant") * 25 > 3.5)
+    return result
+
+
+def _by_bin(
+    dz: FloatArray,
+    white: FloatArray,
+    stable: Mask,
+    classes: NDArray[np.floating[Any] | np.integer[Any]],
+    edges: tuple[float, ...],
+) -> tuple[tuple[ErrorBin, ...], FloatArray]:
+    """Return the spread of stable cells by ranges of a property, and white variances that follow it.
+
+    The variances follow where the standardised differences in a range spread clearly more or less than in all.
+    """
+    numbers = np.clip(np.digitize(classes, edges) - 1, 0, len(edges) - 2)
+    residuals = np.where(stable, dz, 0.0)
+    residuals = residuals - (np.median(dz[stable]) if stable.any() else 0.0)
+    factors = np.ones(len(edges) - 1)
+    bins: list[ErrorBin] = []
+    overall = _nmad(residuals[stable] / np.sqrt(white[stable])) if stable.any() else 0.0
+    for number in range(len(edges) - 1):
+        chosen = stable & (numbers == number)
+        cells = int(np.count_nonzero(chosen))
+        if cells < _MIN_BIN_CELLS or not overall > 0:
+            continue
+        factor = _nmad(residuals[chosen] / np.sqrt(white[chosen])) / overall
+        if not 1 / _SIGNIFICANT_FACTOR < factor < _SIGNIFICANT_FACTOR:
+            factors[number] = factor
+        bins.append(ErrorBin(edges[number], edges[number + 1], cells, _nmad(residuals[chosen]), float(factors[number])))
+    return tuple(bins), white * factors[numbers] ** 2
+
+
+def _nmad(values: FloatArray) -> float:
+    return float(_NMAD * np.median(np.abs(values - np.median(values))))
+
+
+def _filled(dz: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:
+    """Fill voids with the mean difference of the eight nearest cells, at most five cells away.
+
+    The variance of a filled cell is the mean variance of these cells and the variance between them.
+    """
+    from scipy.spatial import KDTree
+
+    measured = np.isfinite(dz)
+    tree = KDTree(np.argwhere(measured))
+    voids = np.argwhere(~measured)
+    count = min(_FILLING_NEIGHBOURS, int(np.count_nonzero(measured)))
+    queried = tree.query(voids, k=count, distance_upper_bound=_FILLING_REACH)
+    distances, rows = (np.reshape(values, (len(voids), count)) for values in queried)
+    near = np.isfinite(distances)
+    enough = near.sum(axis=1) >= min(3, count)
+    values, variances = np.append(dz[measured], 0.0), np.append(white[measured], 0.0)
+    total = np.maximum(near.sum(axis=1), 1)
+    means = (values[rows] * near).sum(axis=1) / total
+    between = (((values[rows] - means[:, None]) ** 2) * near).sum(axis=1) / total
+    new_dz, new_white, filled = dz.copy(), white.copy(), np.zeros(dz.shape, dtype=bool)
+    places = tuple(voids[enough].T)
+    new_dz[places] = means[enough]
+    new_white[places] = ((variances[rows] * near).sum(axis=1) / total + between)[enough]
+    filled[places] = True
+    return new_dz, new_white, filled

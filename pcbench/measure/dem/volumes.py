@@ -1,0 +1,174 @@
+"""Volumes of change from a DEM of difference, each with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.dem.covariance import Mask
+from pcbench.measure.dem.difference import DemOfDifference
+
+WHOLE_AREA = "all"
+"""Name of the area that both epochs cover."""
+MOST_PARTS = 100
+"""Largest number of changed parts that are listed."""
+
+
+class MeasuredValue(NamedTuple):
+    """A value with its 95 % interval; without an estimate of the errors the ends are NaN."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def within(cls, value: float, half_width: float, *, least: float = -np.inf) -> MeasuredValue:
+        """Return a value with a symmetric interval, cut off at the least possible value."""
+        return cls(value, max(value - half_width, least) if half_width == half_width else np.nan, value + half_width)
+
+    def scaled(self, factor: float) -> MeasuredValue:
+        """Return the value in another unit."""
+        return MeasuredValue(self.value * factor, self.low * factor, self.high * factor)
+
+
+@dataclass(frozen=True)
+class CutFill:
+    """Volumes over the cells of an area, in cubic units.
+
+    Attributes:
+        fill: volume of the raised cells, at least 0.
+        cut: volume of the lowered cells, at least 0.
+        net: fill less cut.
+    """
+
+    fill: MeasuredValue
+    cut: MeasuredValue
+    net: MeasuredValue
+
+
+@dataclass(frozen=True)
+class AreaChange:
+    """The change of an area: of all that both epochs cover, of a zone, or of a changed part.
+
+    Attributes:
+        name: name of the area.
+        area: area with a difference, in squared units.
+        void_area: area without points in an epoch, which no volume includes.
+        filled_area: part of `area` of which the differences were filled from the neighbours.
+        volumes: volumes of all cells: changed parts by the sign of each cell, the rest by its sum.
+        by_sign: fill and cut as plain sums by sign, which errors enlarge on both sides.
+        detected: volumes of the cells beyond the level of detection alone.
+        mean: mean change of height.
+        largest: largest rise of a cell.
+        lowest: largest fall of a cell, negative.
+        undetected_share: share of the area whose change is below the level of detection.
+        centre: x and y of the centre of the change.
+    """
+
+    name: str
+    area: float
+    void_area: float
+    filled_area: float
+    volumes: CutFill
+    by_sign: tuple[float, float]
+    detected: CutFill
+    mean: MeasuredValue
+    largest: float
+    lowest: float
+    undetected_share: float
+    centre: tuple[float, float]
+
+
+def area_changes(difference: DemOfDifference, zones: Mapping[str, Mask]) -> Iterator[AreaChange]:
+    """Yield the change of the whole area, of the zones in their order, and of the changed parts, the largest first.
+
+    Args:
+        difference: the DEM of difference.
+        zones: cells (H, W) of each zone by its name.
+    """
+    yield area_change(difference, WHOLE_AREA, np.ones(difference.dz.shape, dtype=bool))
+    for name, mask in zones.items():
+        yield area_change(difference, name, mask)
+    for number in range(1, min(int(difference.parts.max(initial=0)), MOST_PARTS) + 1):
+        yield area_change(difference, f"part {number}", difference.parts == number)
+
+
+def area_change(difference: DemOfDifference, name: str, mask: Mask) -> AreaChange:
+    """Return the change of the cells (H, W) of a mask."""
+    cell_area = difference.grid.cell_area
+    cells = mask & difference.measured
+    dz = np.where(cells, difference.dz, 0.0)
+    count = int(np.count_nonzero(cells))
+    beyond = cells & difference.significant
+    volumes = _volumes(difference, cells, dz)
+    values = dz[cells]
+    return AreaChange(
+        name=name,
+        area=count * cell_area,
+        void_area=float(np.count_nonzero(mask & ~difference.measured)) * cell_area,
+        filled_area=float(np.count_nonzero(cells & difference.filled)) * cell_area,
+        volumes=volumes,
+        by_sign=(float(np.maximum(dz, 0).sum()) * cell_area, float(np.maximum(-dz, 0).sum()) * cell_area),
+        detected=_detected_volumes(difference, beyond, dz),
+        mean=volumes.net.scaled(1 / (count * cell_area) if count else np.nan),
+        largest=float(values.max(initial=0.0)),
+        lowest=float(values.min(initial=0.0)),
+        undetected_share=1 - np.count_nonzero(beyond) / count if count else 1.0,
+        centre=_centre(difference, np.abs(dz), cells),
+    )
+
+
+def half_width(difference: DemOfDifference, weights: FloatArray) -> float:
+    """Return half the width of the 95 % interval of the volume of weighted cells (H, W); NaN without a model."""
+    if difference.model is None:
+        return np.nan
+    further = (difference.datum_sigma * float(weights.sum())) ** 2
+    heights = difference.model.half_width(difference.sum_weights(weights), further_variance=further)
+    return heights * difference.grid.cell_area
+
+
+def _volumes(difference: DemOfDifference, cells: Mask, dz: FloatArray) -> CutFill:
+    """Return the volumes of cells: changed parts by the sign of each cell, the other cells by their sum.
+
+    The other cells show no change of their own, so that a sum by sign would mostly add up their errors.
+    """
+    cell_area = difference.grid.cell_area
+    inside = cells & (difference.parts > 0)
+    outside = cells & ~inside
+    rest = float(dz[outside].sum()) * cell_area
+    sides = []
+    for sign in (1, -1):
+        own = inside & (sign * dz > 0)
+        volume = abs(float(dz[own].sum())) * cell_area
+        alone = half_width(difference, own.astype(float))
+        both = half_width(difference, (own | outside).astype(float))
+        low = max(volume + max(sign * rest - both, -alone), 0.0)
+        high = volume + max(sign * rest + both, alone)
+        sides.append(MeasuredValue(volume + max(sign * rest, 0.0), low, high))
+    net = float(dz.sum()) * cell_area
+    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, cells.astype(float))))
+
+
+def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray) -> CutFill:
+    """Return the volumes of the cells beyond the level of detection."""
+    cell_area = difference.grid.cell_area
+    sides = []
+    for sign in (1, -1):
+        own = beyond & (sign * dz > 0)
+        volume = abs(float(dz[own].sum())) * cell_area
+        sides.append(MeasuredValue.within(volume, half_width(difference, own.astype(float)), least=0.0))
+    net = sides[0].value - sides[1].value
+    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, beyond.astype(float))))
+
+
+def _centre(difference: DemOfDifference, weights: FloatArray, cells: Mask) -> tuple[float, float]:
+    """Return x and y of the centre of the change, weighed by its size."""
+    grid = difference.grid
+    if not weights.any():
+        weights = cells.astype(float)
+    total = float(weights.sum()) or 1.0
+    return float(weights.sum(axis=0) @ grid.columns_x) / total, float(weights.sum(axis=1) @ grid.rows_y) / total

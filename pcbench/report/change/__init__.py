@@ -1,0 +1,1 @@
+"""The change between epochs as texts, tables, maps, pictures and sheets."""

@@ -1,0 +1,71 @@
+"""The command `pcbench change`: its answer, --json, its folder, and errors of one line."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import is_one_line
+from site_epochs import survey, write_surveys, write_zones
+from wording import check_text
+
+from pcbench import Cloud, write_cloud
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """Write site_2020.xyz, site_2022.xyz and zones.geojson to the current folder."""
+    monkeypatch.chdir(tmp_path)
+    write_surveys(tmp_path, (2020, 2022), lambda path, points: np.savetxt(path, points, fmt="%.3f"))
+    write_zones(tmp_path / "zones.geojson")
+    return tmp_path
+
+
+def test_the_answer_comes_first(site, run):
+    arguments = ("site_2020.xyz", "site_2022.xyz", "--cell", "1", "--zones", "zones.geojson", "--out", "out")
+    code, out, err = run("change", *arguments, "--no-figures", "--json", "copy.json", "--datum-sigma", "0.01")
+    assert code == 0, err
+    assert out.startswith("Between site_2020 and site_2022: net +")
+    assert "cubic units" in out and "cells of 1 (as given)" in out and "report: out/" in out
+    values = json.loads((site / "copy.json").read_text())
+    assert values == json.loads((site / "out" / "change.json").read_text())
+    assert values["changes"][0]["errors"]["datum_sigma"] == 0.01
+    assert [zone["name"] for zone in values["changes"][0]["zones"]] == ["heap", "hole"]
+
+
+def test_errors_are_one_line(site, run):
+    pair = ("site_2020.xyz", "site_2022.xyz")
+    np.savetxt("far.xyz", survey(0, 9, 200) + [10_000, 0, 0])
+    degrees = np.random.default_rng(0).random((200, 3)) + [11.5, 48.1, 0]
+    write_cloud("degrees.ply", Cloud(degrees, crs="EPSG:4326", unit="degree"))
+    write_cloud("utm33.ply", Cloud(survey(0, 9, 200), crs="EPSG:32633", unit="m"))
+    write_cloud("utm32.ply", Cloud(survey(0, 8, 200), crs="EPSG:32632", unit="m"))
+    write_zones(site / "outside.geojson", {"away": (100, 100, 110, 110)})
+    write_zones(site / "all.geojson", {"all": (1, 1, 9, 9)})
+    (site / "full").mkdir()
+    (site / "full" / "notes.txt").write_text("mine")
+    for arguments in (
+        pair[:1],
+        ("site_2020.xyz", "missing.xyz"),
+        ("site_2020.xyz", "far.xyz"),
+        ("utm32.ply", "utm33.ply"),
+        ("degrees.ply", "degrees.ply"),
+        (*pair, "--surface", "highest"),
+        (*pair, "--cell", "0.0000001"),
+        (*pair, "--cell", "0.001", "--memory", "500MB"),
+        (*pair, "--dates", "2020-01-01"),
+        (*pair, "--dates", "2020-01-01,soon"),
+        (*pair, "--profile", "1,2,3"),
+        (*pair, "--profile", "0,0,1,1"),
+        (*pair, "--point", "1"),
+        (*pair, "--zones", "outside.geojson"),
+        (*pair, "--zones", "all.geojson"),
+        (*pair, "--stable", "outside.geojson"),
+        (*pair, "--out", "full"),
+        (*pair, "--out", "."),
+        (*pair, "--json", "site_2020.xyz"),
+        (*pair, "--memory", "1"),
+    ):
+        code, out, err = run("change", *arguments)
+        assert code == 2 and out == "" and is_one_line(err), (arguments, err)
+        check_text(err)
+    assert [path.name for path in (site / "full").iterdir()] == ["notes.txt"]

@@ -1,0 +1,48 @@
+"""Outlines of areas of cells, and volumes along normals."""
+
+import numpy as np
+import pytest
+
+from pcbench.geometry.regions import Polygon
+from pcbench.measure.dem.along_normals import volume_along_normals
+from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.outlines import outlines_of
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_outlines_contain_exactly_the_cells(share):
+    grid = Grid(100.0, 200.0, 2.0, (30, 40))
+    mask = np.random.default_rng(round(10 * share)).random(grid.shape) < share
+    centres = np.column_stack([grid.centres(), np.zeros(grid.size)])
+    inside = np.zeros(grid.size, dtype=int)
+    for outline in outlines_of(mask, grid):
+        inside += Polygon((outline.outer, *outline.holes)).contains(centres)
+    assert (inside.reshape(grid.shape) == mask).all()
+
+
+def test_an_outline_has_corners_only_where_it_turns():
+    grid = Grid(0.0, 10.0, 1.0, (10, 10))
+    mask = np.zeros(grid.shape, dtype=bool)
+    mask[2:8, 1:9] = True
+    mask[4:6, 3:5] = False
+    (outline,) = outlines_of(mask, grid)
+    assert sorted(map(tuple, outline.outer)) == [(1, 2), (1, 8), (9, 2), (9, 8)]
+    assert sorted(map(tuple, outline.holes[0])) == [(3, 4), (3, 6), (5, 4), (5, 6)]
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 35.0, 90.0])
+def test_the_volume_along_normals_is_that_of_the_moved_surface(tilt_deg):
+    """A rough surface of 20 by 12 moves by 0.2 along its normal, whichever way it faces."""
+    rng = np.random.default_rng(1)
+    slope = np.radians(tilt_deg)
+    rotation = np.array([[1, 0, 0], [0, np.cos(slope), -np.sin(slope)], [0, np.sin(slope), np.cos(slope)]])
+
+    def surface(height):
+        x, y = rng.uniform(0, [[20], [12]], (2, 6000))
+        return np.column_stack([x, y, height + rng.normal(0, 0.02, x.size)]) @ rotation.T
+
+    result = volume_along_normals(surface(0.0), surface(0.2))
+    net = abs(result.volumes.net.value)
+    # The cubes at the border of the surface are whole, and each side has one of them: 4 * side * 32 / 2 at most.
+    assert 0.97 * 48 < net < 0.2 * (240 + result.side * 64)
+    assert result.steep_share == (1.0 if tilt_deg == 90.0 else 0.0)
