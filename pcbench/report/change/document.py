@@ -218,8 +218,9 @@ def rings_of(region: Region) -> list[Ring]:
 
 
 def _epoch(epoch: Epoch) -> EpochRecord:
-    file = epoch.source.path.name
-    day = epoch.date and (date_in_name(epoch.date, file) if date_of(file) == epoch.date else epoch.date.isoformat())
+    file, day = epoch.source.path.name, None
+    if epoch.date is not None:
+        day = date_in_name(epoch.date, file) if date_of(file) == epoch.date else epoch.date.isoformat()
     return EpochRecord(epoch.name, str(epoch.source.path), day, epoch.count, epoch.area)
 
 

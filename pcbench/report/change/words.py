@@ -260,8 +260,3 @@ def system_sentence(document: ChangeDocument) -> str:
     crs = "unknown" if document.crs is None else crs_label(document.crs)
     unit = document.unit or "unknown"
     return f"Coordinate system: {crs}; unit of lengths: {unit}."
-
-
-def warnings(document: ChangeDocument) -> tuple[str, ...]:
-    """Return what not to trust."""
-    return document.warnings
