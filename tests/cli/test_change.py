@@ -51,7 +51,7 @@ def test_errors_are_one_line(site, run):
         ("degrees.ply", "degrees.ply"),
         (*pair, "--surface", "highest"),
         (*pair, "--cell", "0.0000001"),
-        (*pair, "--cell", "0.001", "--memory", "500MB"),
+        (*pair, "--cell", "0.01", "--memory", "500MB"),
         (*pair, "--dates", "2020-01-01"),
         (*pair, "--dates", "2020-01-01,soon"),
         (*pair, "--profile", "1,2,3"),

@@ -46,3 +46,25 @@ def test_the_volume_along_normals_is_that_of_the_moved_surface(tilt_deg):
     # The cubes at the border of the surface are whole, and each side has one of them: 4 * side * 32 / 2 at most.
     assert 0.97 * 48 < net < 0.2 * (240 + result.side * 64)
     assert result.steep_share == (1.0 if tilt_deg == 90.0 else 0.0)
+
+
+def test_a_cliff_faces_away_from_the_rock():
+    """Between a foot and a top, a vertical wall of 10 by 12 moves outwards by 0.4: the volume is added."""
+    rng = np.random.default_rng(2)
+
+    def cliff(wall):
+        parts = []
+        for count, low, high in (
+            (5000, (0, 0), (wall, 0)),
+            (5000, (wall, 0), (wall, 10)),
+            (5000, (wall, 10), (20, 10)),
+        ):
+            x, z = (np.array(low) + rng.random((count, 1)) * (np.array(high) - np.array(low))).T
+            parts.append(np.column_stack([x, rng.uniform(0, 12, count), z]))
+        points = np.concatenate(parts)
+        return points + rng.normal(0, 0.01, points.shape)
+
+    result = volume_along_normals(cliff(10.0), cliff(9.6))
+    # The edges above and below are rounded by the cylinders, whose diameter is a twentieth of the wall's height each.
+    assert result.volumes.net.value == pytest.approx(0.4 * 10 * 12, rel=0.15)
+    assert 0.2 < result.steep_share < 0.5

@@ -16,11 +16,12 @@ from pcbench import Cloud, write_cloud
 from pcbench.comparison.change import change_files, open_epochs
 from pcbench.io import read_cloud
 from pcbench.io.json_values import from_json
+from pcbench.measure.dem.epochs import date_of
 from pcbench.measure.dem.settings import ChangeSettings
 from pcbench.measure.dem.volumes import MeasuredValue
 from pcbench.report.article import markdown
 from pcbench.report.change.article import article
-from pcbench.report.change.document import ChangeDocument, ErrorRecord, NormalsRecord, RangedError
+from pcbench.report.change.document import ChangeDocument, ErrorRecord, NormalsRecord, RangedError, date_in_name
 from pcbench.report.change.layers import change_range, hillshade, read_document, read_layers
 from pcbench.report.change.pictures import pictures
 from pcbench.report.change.plan import change_image
@@ -214,6 +215,11 @@ def test_relief_is_lit_from_the_north_west():
     assert (hillshade(east + south, 1.0)[inner] > 0.5).all()  # it rises to the south-east
     assert (hillshade(-east - south, 1.0)[inner] < 0.5).all()
     assert (hillshade(np.zeros((8, 8)), 1.0)[inner] == 0.5).all()
+
+
+def test_dates_are_as_precise_as_the_names():
+    for name, text in (("site_2023.laz", "2023"), ("a-2023-05.laz", "2023-05"), ("20230101.xyz", "2023-01-01")):
+        assert date_in_name(date_of(name), name) == text
 
 
 def test_numbers_have_three_significant_digits():

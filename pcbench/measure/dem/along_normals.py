@@ -26,6 +26,7 @@ _HALF_LENGTH_RADII = 8.0
 STEEP_DEG = 60.0
 """Slope from which a surface counts as steep: a cell of a DEM is then seen from the side."""
 _SAMPLE, _LAG_BINS = 1500, 24
+_NEIGHBORS = 8  # of a core point, with which its normal agrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +61,9 @@ def volume_along_normals(
 ) -> NormalVolume:
     """Measure the volume between two clouds along the normals of the first.
 
-    The fill lies on the side that the normals point to, which is upwards, or away from the material on a wall as far as
-    the normals are oriented.
+    The fill lies on the side that the normals point to. They agree on each connected surface, which faces upwards on
+    the whole: a cliff with its top and its foot faces away from the rock. Which side of a lone wall is its front is
+    unknown.
 
     Args:
         before: points (N, 3) of the first epoch.
@@ -80,7 +82,7 @@ def volume_along_normals(
     cubes, counts = np.floor((first.points[grid.first] - low) / side).astype(np.int64), grid.counts
     normals = surface.normals(first.query(cores).indices)
     usable = np.isfinite(normals).all(axis=1)
-    cores, normals = cores[usable], normals[usable]
+    cores, normals = cores[usable], _oriented(cores[usable], normals[usable])
     result = m3c2(first, second, cores, normals, radius=radius, half_length=_HALF_LENGTH_RADII * radius)
     areas = _areas(cubes[usable], counts[usable], normals, side)
     measured = np.isfinite(result.distances)
@@ -108,6 +110,40 @@ def volume_along_normals(
         float(areas[steep].sum() / areas.sum()) if len(areas) else 0.0,
         float(areas[measured & (np.abs(distances) <= level)].sum() / area) if area else 1.0,
     )
+
+
+def _oriented(cores: FloatArray, normals: FloatArray) -> FloatArray:
+    """Turn normals (K, 3) so that neighbours agree, and each connected surface faces upwards on the whole.
+
+    The agreement is passed on along the minimum spanning tree of the neighbours, over the flattest places first (Hoppe
+    et al. 1992, section 3.3), so that a wall faces the side from which its foot and its top are seen.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+    count = min(_NEIGHBORS + 1, len(cores))
+    if count < 2:
+        return normals
+    neighbors = Index(cores).query(cores, count).indices[:, 1:]
+    rows = np.repeat(np.arange(len(cores)), count - 1)
+    others = neighbors.ravel()
+    # Edges of weight 0 would not exist.
+    weights = 1.001 - np.abs((normals[rows] * normals[others]).sum(axis=1))
+    graph = coo_array((weights, (rows, others)), shape=(len(cores), len(cores))).tocsr()
+    tree = minimum_spanning_tree(graph.maximum(graph.T))
+    tree = tree + tree.T
+    result = normals.copy()
+    _, labels = connected_components(tree, directed=False)
+    order = np.argsort(labels, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+        start = members[np.abs(normals[members, 2]).argmax()]
+        path, parents = breadth_first_order(tree, start, directed=False)
+        for place in path[1:]:
+            if result[place] @ result[parents[place]] < 0:
+                result[place] = -result[place]
+        if result[members, 2].sum() < 0:
+            result[members] = -result[members]
+    return result
 
 
 def _areas(cubes: IntArray, counts: IntArray, normals: FloatArray, side: float) -> FloatArray:

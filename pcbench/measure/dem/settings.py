@@ -66,7 +66,7 @@ class ChangeSettings:
         bounds=Bounds(float, 0, is_open=True),
     )
     surface: Method = setting(
-        Method.MEAN,
+        Method.MEAN.value,
         "--surface",
         "Height of a cell: mean, median or lowest of its points, or tin (triangulated, at its centre).",
         metavar="METHOD",

@@ -10,7 +10,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.volumes import AreaChange, MeasuredValue
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
-from pcbench.report.change.words import epoch_text, place_text, volume_unit
+from pcbench.report.change.words import epoch_text, place_mark, place_text, volume_unit
 from pcbench.report.colors import BLUE, GREEN, ORANGE, PURPLE, SERIES, VERMILION
 from pcbench.report.words import printable, shorten_name
 
@@ -91,7 +91,7 @@ def draw_series(axes: Sequence[Any], document: ChangeDocument) -> None:
         unit = f" [{document.unit}]" if document.unit else ""
         middle = 0.5 * (len(document.places) - 1)
         for number, place in enumerate(document.places):
-            name = f"{number + 1} at {place_text(place.place)}"
+            name = f"{place_mark(number + 1)} at {place_text(place.place)}"
             _line(axes[1], times, place.changes, SERIES[number % len(SERIES)], name, number - middle)
         axes[1].set_ylabel(f"change of height{unit}", fontsize=9)
     for axis in axes:

@@ -6,6 +6,7 @@ The fields of the types are the keys of change.json. Values with an interval are
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -17,7 +18,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.regions import Polygon, Region, Union
 from pcbench.io.json_values import json_values
 from pcbench.measure.dem.difference import DemOfDifference, ErrorBin
-from pcbench.measure.dem.epochs import Epoch
+from pcbench.measure.dem.epochs import Epoch, date_of
 from pcbench.measure.dem.grid import Grid
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import HeightTrend
@@ -217,15 +218,16 @@ def rings_of(region: Region) -> list[Ring]:
 
 
 def _epoch(epoch: Epoch) -> EpochRecord:
-    day = None if epoch.date is None else date_text(epoch.date)
+    file, day = epoch.source.path.name, None
+    if epoch.date is not None:
+        day = date_in_name(epoch.date, file) if date_of(file) == epoch.date else epoch.date.isoformat()
     return EpochRecord(epoch.name, str(epoch.source.path), day, epoch.count, epoch.area)
 
 
-def date_text(day: date) -> str:
-    """Return a date; the first day of a month or a year stands for the whole of it, as in names of files."""
-    if (day.month, day.day) == (1, 1):
-        return f"{day:%Y}"
-    return f"{day:%Y-%m}" if day.day == 1 else day.isoformat()
+def date_in_name(day: date, name: str) -> str:
+    """Return a date that comes from a name, as precisely as the name states it: 2023, 2023-05 or 2023-05-17."""
+    digits = re.sub(r"[-_.]", "", name)
+    return next(f"{day:{form}}" for form in ("%Y-%m-%d", "%Y-%m", "%Y") if f"{day:{form}}".replace("-", "") in digits)
 
 
 def _change(change: EpochChange, history: AreaHistory) -> ChangeRecord:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.layers import PlanLayers
+from pcbench.report.change.words import place_mark
 from pcbench.report.colors import Range
 from pcbench.report.figures import rgb
 from pcbench.report.plot.rounding import axis_title, round_length, round_origin
@@ -62,7 +63,7 @@ def draw_plan(
     for number, place in enumerate(document.places, 1):
         axis.plot(*place.place, marker="^", color=_OUTLINE, markersize=6, markeredgecolor="white", linestyle="none")
         axis.annotate(
-            f"{number}", place.place, (5, 4), textcoords="offset points", fontsize=8, color=_OUTLINE,
+            place_mark(number), place.place, (5, 4), textcoords="offset points", fontsize=8, color=_OUTLINE,
             path_effects=paper(), clip_on=True,
         )  # fmt: skip
     _numbers(axis, document, layers)

@@ -12,7 +12,7 @@ from pcbench.report.change.charts import draw_profile, draw_series, draw_volumes
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
 from pcbench.report.change.layers import PlanLayers
 from pcbench.report.change.plan import color_bar, draw_plan
-from pcbench.report.change.tables import series_rows, short_rows, volume_rows
+from pcbench.report.change.tables import WHOLE, series_rows, short_rows, volume_rows
 from pcbench.report.change.words import (
     epoch_text,
     error_sentences,
@@ -216,7 +216,7 @@ def _table(figure: Any, y: float, rows: Sequence[Sequence[str]]) -> float:
     for number, row in enumerate(rows):
         y -= _ROW
         for k, cell in enumerate(row):
-            weight = "bold" if number == 0 or (number == 1 and k <= 1) else "normal"
+            weight = "bold" if number == 0 or (row[0] == WHOLE and k <= 1) else "normal"
             text = shorten_name(cell, 26) if k == 0 else cell
             x, side = (_MARGIN, "left") if k == 0 else (rights[k], "right")
             _write(figure, x, y + 0.05, text, size=size, weight=weight, ha=side, va="baseline")

@@ -18,7 +18,7 @@ from pcbench.report.words import UNKNOWN, columns, pad, percentage
 
 MOST_PARTS = 10
 """Largest number of parts in a table to read; volumes.csv has all."""
-CSV = "volumes.csv"
+CSV, WHOLE = "volumes.csv", "whole area"
 _CSV_VALUES = ("net", "fill", "cut", "mean", "detected_net", "detected_fill", "detected_cut")
 _CSV_HEADER = (
     *("epoch", "date", "kind", "name", "x", "y", "area", "void_area", "filled_area"),
@@ -30,7 +30,7 @@ _CSV_HEADER = (
 def volume_rows(document: ChangeDocument, change: ChangeRecord) -> list[list[str]]:
     """Return the header and the rows of the table of volumes: the whole area, the zones, and the largest parts."""
     head = ["", *_heads(document, net=3, fill=0, cut=0, area=2, mean=1, peak=0), "below LoD", "centre"]
-    rows = [head, _row("whole area", change.whole)]
+    rows = [head, _row(WHOLE, change.whole)]
     rows += [_row(zone.name, zone) for zone in change.zones]
     rows += [_row(part.name, part) for part in change.parts[:MOST_PARTS]]
     return rows
@@ -60,7 +60,7 @@ def _row(name: str, area: AreaChange) -> list[str]:
 def short_rows(document: ChangeDocument, change: ChangeRecord, most: int = 6) -> list[list[str]]:
     """Return a table of volumes for a sheet: fewer columns, and at most `most` parts."""
     rows = [["", *_heads(document, net=3, fill=0, cut=0, area=2, peak=1)]]
-    areas = [("whole area", change.whole), *((each.name, each) for each in (*change.zones, *change.parts[:most]))]
+    areas = [(WHOLE, change.whole), *((each.name, each) for each in (*change.zones, *change.parts[:most]))]
     for name, area in areas:
         full = _row(name, area)
         rows.append([*full[:5], full[6]])

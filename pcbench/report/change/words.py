@@ -69,6 +69,11 @@ def place_text(place: Sequence[float]) -> str:
     return f"({', '.join(f'{value:.1f}' for value in place)})"
 
 
+def place_mark(number: int) -> str:
+    """Return the mark of a place by its number from 1: a letter, because parts have numbers."""
+    return chr(ord("A") + number - 1) if number <= 26 else f"A{number}"
+
+
 def peak(area: AreaChange) -> float:
     """Return the largest change of a cell of an area, with its sign."""
     return area.largest if area.largest >= -area.lowest else area.lowest
@@ -255,8 +260,3 @@ def system_sentence(document: ChangeDocument) -> str:
     crs = "unknown" if document.crs is None else crs_label(document.crs)
     unit = document.unit or "unknown"
     return f"Coordinate system: {crs}; unit of lengths: {unit}."
-
-
-def warnings(document: ChangeDocument) -> tuple[str, ...]:
-    """Return what not to trust."""
-    return document.warnings
