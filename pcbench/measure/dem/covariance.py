@@ -115,8 +115,9 @@ class ErrorModel:
         near = self.white_scale * sums.white
         if self.short_sigma > 0:
             near += self.short_sigma**2 * sums.form(self.short_family, self.short_length)
-        forms = [sums.form(family, length) for family, length in zip(self.families, self.ranges, strict=True)]
-        within = self.scales * near + self.variances * np.array(forms)
+        kinds, numbers = np.unique(np.column_stack([self.families, self.ranges]), axis=0, return_inverse=True)
+        forms = np.array([sums.form(int(family), float(length)) for family, length in kinds])
+        within = self.scales * near + self.variances * forms[numbers.ravel()]
         whole = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * self.far_variances
         return np.add.outer(within, whole).ravel(), np.outer(self.weights, self.far_weights).ravel()
 
@@ -134,7 +135,7 @@ class ErrorModel:
             further_variance: variance of an independent error of the sum.
         """
         from scipy.optimize import brentq
-        from scipy.stats import t
+        from scipy.special import stdtr
 
         variances, weights = self.variances_of(sums)
         scales = np.sqrt(variances + further_variance)
@@ -143,7 +144,7 @@ class ErrorModel:
         tail = (1 - level) / 2
 
         def excess(width: float) -> float:
-            return float(weights @ t.sf(width / np.maximum(scales, 1e-300), self.dof)) - tail
+            return float(weights @ stdtr(self.dof, -width / np.maximum(scales, 1e-300))) - tail
 
         return float(brentq(excess, 0.0, 1000 * scales.max(), xtol=1e-6 * scales.max()))
 
@@ -255,38 +256,75 @@ def _mean_correlation(family: int, lags: FloatArray, step: int, length: float) -
     return result
 
 
-class _Eigen(NamedTuple):
-    """REML in the eigenbasis of a correlation: eigenvalues (n,) and squared coordinates (n,) of the contrasts."""
+class _Contrasts(NamedTuple):
+    """Whitened contrasts of values, that is without their mean, in a basis whose first axis is that of the contrasts.
 
-    values: FloatArray
-    squares: FloatArray
+    In this basis the correlation is tridiagonal, which gives the likelihood for all variances at once.
+
+    Attributes:
+        diagonal: (n,) of the correlation.
+        beside: (n - 1,) elements beside its diagonal.
+        square: sum of the squared contrasts.
+    """
+
+    diagonal: FloatArray
+    beside: FloatArray
+    square: float
+
+    def forms(self, ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the quadratic form (R,) of the contrasts and the log determinant (R,) of their covariance.
+
+        Args:
+            ratios: variances (R,) of the correlated error in units of the noise, which has the variance 1.
+        """
+        pivots = 1 + ratios * self.diagonal[-1]
+        log_determinant = np.log(pivots)
+        squared = np.outer(self.beside**2, ratios**2)
+        for k in range(len(self.beside) - 1, -1, -1):
+            pivots = 1 + ratios * self.diagonal[k] - squared[k] / pivots
+            log_determinant += np.log(pivots)
+        return self.square / pivots, log_determinant
 
 
-def _contrasts(values: FloatArray, noise: FloatArray, correlation: FloatArray) -> _Eigen:
-    """Return the whitened contrasts of values (n,), that is without their mean, in the eigenbasis of a correlation.
+def _contrasts(values: FloatArray, noise: FloatArray, correlation: FloatArray) -> _Contrasts:
+    """Return the whitened contrasts of values (n,).
 
     Args:
         values: observations.
-        noise: (n, n) lower Cholesky factor of the covariance of one error.
+        noise: standard deviations (n,) of one error, or the (n, n) lower Cholesky factor of its covariance.
         correlation: (n, n) correlation of the other error.
     """
     from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dsytrd
 
     def whiten(columns: FloatArray) -> FloatArray:
+        if noise.ndim == 1:
+            return columns / noise[:, None]
         result: FloatArray = solve_triangular(noise, columns, lower=True, check_finite=False)
         return result
 
     scaled = whiten(whiten(correlation).T)
     ones, observed = whiten(np.column_stack([np.ones(len(values)), values])).T
-    # Householder's reflection that maps the whitened constant to the first axis; the other axes are the contrasts.
-    axis = ones / np.linalg.norm(ones)
+    # One reflection maps the whitened constant to the first axis, which is dropped, and another one the contrasts.
+    scaled, observed = _reflected(scaled, observed, ones)
+    scaled, observed = scaled[1:, 1:], observed[1:]
+    scaled, observed = _reflected(scaled, observed, observed)
+    _, diagonal, beside, _, _ = dsytrd(scaled, lower=1)
+    return _Contrasts(diagonal, beside, float(observed[0] ** 2))
+
+
+def _reflected(matrix: FloatArray, vector: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a symmetric matrix and a vector after Householder's reflection of a direction to the first axis."""
+    norm = float(np.linalg.norm(direction))
+    if not norm > 0:
+        return matrix, vector
+    axis = direction / norm
     axis[0] += np.copysign(1.0, axis[0])
     axis /= np.linalg.norm(axis)
-    half = scaled - 2 * np.outer(axis, axis @ scaled)
-    reflected = half - 2 * np.outer(half @ axis, axis)
-    observed = observed - 2 * axis * (axis @ observed)
-    eigenvalues, vectors = np.linalg.eigh(reflected[1:, 1:])
-    return _Eigen(np.maximum(eigenvalues, 0.0), (vectors.T @ observed[1:]) ** 2)
+    product = matrix @ axis
+    side = product - (axis @ product) * axis
+    result = matrix - 2 * (np.outer(axis, side) + np.outer(side, axis))
+    return result, vector - 2 * axis * (axis @ vector)
 
 
 class _ShortError(NamedTuple):
@@ -314,20 +352,20 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
             parts = [
                 _contrasts(
                     values,
-                    np.diag(np.sqrt(noise / unit)),
+                    np.sqrt(noise / unit),
                     pairs.matrix(correlation(np.hypot(*pairs.lags) / length)),
                 )
                 for values, noise, pairs in windows
             ]
-            eigenvalues = np.concatenate([part.values for part in parts])
-            squares = np.concatenate([part.squares for part in parts])
-            for ratio in _SHORT_RATIOS:
-                factors = 1 + ratio * eigenvalues
-                scale = float(np.mean(squares / factors))
-                likelihood = -0.5 * (len(squares) * np.log(scale) + np.log(factors).sum())
-                if likelihood > best_likelihood + 1e-9:
-                    best_likelihood = likelihood
-                    best = _ShortError(scale / unit, float(ratio * scale), family, length)
+            squares, logs = np.sum([part.forms(_SHORT_RATIOS) for part in parts], axis=0)
+            freedom = sum(len(part.diagonal) for part in parts)
+            scales = squares / freedom
+            likelihoods = -0.5 * (freedom * np.log(scales) + logs)
+            at = int(likelihoods.argmax())
+            if likelihoods[at] > best_likelihood + 1e-9:
+                best_likelihood = float(likelihoods[at])
+                scale = float(scales[at])
+                best = _ShortError(scale / unit, float(_SHORT_RATIOS[at]) * scale, family, length)
     return best
 
 
@@ -388,13 +426,13 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     states, logs = [], []
     for family in range(len(_FAMILIES)):
         for far in lengths:
-            eigen = _contrasts(values, factor, _block_correlation(family, pairs, edge, far))
-            factors = 1 + _LONG_RATIOS[:, None] * eigen.values
-            count = len(eigen.squares)
+            contrasts = _contrasts(values, factor, _block_correlation(family, pairs, edge, far))
+            squares, log_determinant = contrasts.forms(_LONG_RATIOS)
+            count = len(contrasts.diagonal)
             # Inverse-gamma prior of the scale about the estimate at the short range, with `_KAPPA_DOF`.
-            squares = (eigen.squares / factors).sum(axis=1) + _KAPPA_DOF * unit
+            squares = squares + _KAPPA_DOF * unit
             scale = squares / (count + _KAPPA_DOF)
-            log = -0.5 * ((count + _KAPPA_DOF) * np.log(squares) + np.log(factors).sum(axis=1))
+            log = -0.5 * ((count + _KAPPA_DOF) * np.log(squares) + log_determinant)
             states += [(family, far, ratio * s, s / unit) for ratio, s in zip(_LONG_RATIOS, scale, strict=True)]
             logs.append(log + _LOG_PRIOR)
     likelihood = np.concatenate(logs)
@@ -443,9 +481,8 @@ def _far_weights(
         return _FAR_PRIOR
     far = _block_correlation(_GAUSSIAN, pairs, edge, _FAR_LENGTH_SHARE * extent)
     factor: FloatArray = np.linalg.cholesky(others)
-    eigen = _contrasts(values, factor, shorter * far)
-    factors = 1 + _FAR_RATIOS[:, None] * eigen.values
-    log = -0.5 * (eigen.squares / factors + np.log(factors)).sum(axis=1)
+    squares, log_determinant = _contrasts(values, factor, shorter * far).forms(_FAR_RATIOS)
+    log = -0.5 * (squares + log_determinant)
     weights = _FAR_PRIOR * np.exp(log - log.max())
     result: FloatArray = weights / weights.sum()
     return result
