@@ -24,10 +24,11 @@ Mask = NDArray[np.bool_]
 
 MIN_STABLE_CELLS = 64
 """Smallest number of stable cells on which correlated errors are estimated."""
-_WINDOW, _MAX_WINDOWS = 12, 8  # edge of the windows of the short range, in cells, and their number
+_WINDOW, _MAX_WINDOWS = 10, 8  # edge of the windows of the short range, in cells, and their number
 _MIN_WINDOW_SHARE = 0.5  # of stable cells in a window
 _BLOCKS_PER_SIDE, _MIN_BLOCK_SHARE = 14, 0.25
 _SHORT_LENGTHS = (0.8, 1.5, 2.5, 4.5, 8.0, 14.0)  # in cells
+_LEAST_GAIN = 4.0  # of the logarithm of the likelihood, by which an error of short range has to explain more
 _SHORT_RATIOS = np.concatenate([[0.0], np.geomspace(0.03, 30, 16)])
 _LONG_RANGES = 8
 _LONG_RATIOS = np.concatenate([[0.0], np.geomspace(0.02, 5000, 32)])
@@ -62,7 +63,8 @@ class ErrorModel:
         scales: factor (S,) of the variances of white and short errors that goes with it.
         weights: posterior probability (S,) of each.
         dof: degrees of freedom of the scale.
-        far_variances: variances (Q,) of an error as long as the area, which the data do not exclude.
+        far_ratios: variances (Q,) of an error as long as the area, which the data do not exclude, over that of the
+            long error.
         far_weights: posterior probability (Q,) of each.
         mean: mean of the stable terrain.
         extent: longest edge of the area, in cells: longer errors cannot be told from change.
@@ -78,7 +80,7 @@ class ErrorModel:
     scales: FloatArray
     weights: FloatArray
     dof: float
-    far_variances: FloatArray
+    far_ratios: FloatArray
     far_weights: FloatArray
     mean: float
     extent: int
@@ -102,7 +104,7 @@ class ErrorModel:
     @property
     def far(self) -> CorrelatedError:
         """The error that is correlated over the whole area, which cannot be told from a change of all of it."""
-        variance = float(self.far_weights @ self.far_variances)
+        variance = float(self.far_weights @ self.far_ratios) * float(self.weights @ self.variances)
         return CorrelatedError(variance**0.5, float(self.extent) if variance > 0 else 0.0)
 
     @property
@@ -118,8 +120,8 @@ class ErrorModel:
         kinds, numbers = np.unique(np.column_stack([self.families, self.ranges]), axis=0, return_inverse=True)
         forms = np.array([sums.form(int(family), float(length)) for family, length in kinds])
         within = self.scales * near + self.variances * forms[numbers.ravel()]
-        whole = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * self.far_variances
-        return np.add.outer(within, whole).ravel(), np.outer(self.weights, self.far_weights).ravel()
+        far = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * np.outer(self.variances, self.far_ratios)
+        return (within[:, None] + far).ravel(), np.outer(self.weights, self.far_weights).ravel()
 
     def sigma(self, sums: SumWeights) -> float:
         """Return the standard deviation of a weighted sum of cells, in units of heights times weight."""
@@ -277,13 +279,11 @@ class _Contrasts(NamedTuple):
         Args:
             ratios: variances (R,) of the correlated error in units of the noise, which has the variance 1.
         """
-        pivots = 1 + ratios * self.diagonal[-1]
-        log_determinant = np.log(pivots)
-        squared = np.outer(self.beside**2, ratios**2)
-        for k in range(len(self.beside) - 1, -1, -1):
-            pivots = 1 + ratios * self.diagonal[k] - squared[k] / pivots
-            log_determinant += np.log(pivots)
-        return self.square / pivots, log_determinant
+        pivots = 1 + np.outer(self.diagonal, ratios)
+        squares = np.outer(self.beside**2, ratios**2)
+        for k in range(len(squares) - 1, -1, -1):
+            pivots[k] -= squares[k] / pivots[k + 1]
+        return self.square / pivots[0], np.log(pivots).sum(axis=0)
 
 
 def _contrasts(values: FloatArray, noise: FloatArray, correlation: FloatArray) -> _Contrasts:
@@ -361,10 +361,10 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
             freedom = sum(len(part.diagonal) for part in parts)
             scales = squares / freedom
             likelihoods = -0.5 * (freedom * np.log(scales) + logs)
+            likelihoods[1:] -= _LEAST_GAIN
             at = int(likelihoods.argmax())
             if likelihoods[at] > best_likelihood + 1e-9:
-                best_likelihood = float(likelihoods[at])
-                scale = float(scales[at])
+                best_likelihood, scale = float(likelihoods[at]), float(scales[at])
                 best = _ShortError(scale / unit, float(_SHORT_RATIOS[at]) * scale, family, length)
     return best
 
@@ -440,7 +440,6 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     weights /= weights.sum()
     family, far, variance, scale = states[int(weights.argmax())]
     others = scale * covariance + variance * _block_correlation(family, pairs, edge, far)
-    shorter = scale * short.variance + variance
     chosen = weights > 1e-4
     families, ranges, variances, scales = (np.array(column) for column in zip(*states, strict=True))
     return ErrorModel(
@@ -454,17 +453,17 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
         scales=scales[chosen],
         weights=weights[chosen] / weights[chosen].sum(),
         dof=float(len(values) - 1 + _KAPPA_DOF),
-        far_variances=_FAR_RATIOS * shorter,
-        far_weights=_far_weights(values, others, shorter, pairs, edge, extent),
+        far_ratios=_FAR_RATIOS,
+        far_weights=_far_weights(values, others, variance, pairs, edge, extent),
         mean=float(np.average(values, weights=n)),
         extent=extent,
     )
 
 
 def _far_weights(
-    values: FloatArray, others: FloatArray, shorter: float, pairs: LagTable, edge: int, extent: int
+    values: FloatArray, others: FloatArray, variance: float, pairs: LagTable, edge: int, extent: int
 ) -> FloatArray:
-    """Return the posterior probability of errors as long as the area, with `_FAR_RATIOS` times a variance.
+    """Return the posterior probability of errors as long as the area, with `_FAR_RATIOS` times the long variance.
 
     A long error changes all blocks alike, so that only the few contrasts of largest wavelength can exclude it. What
     they cannot exclude widens the intervals of sums over large parts of the area.
@@ -472,23 +471,23 @@ def _far_weights(
     Args:
         values: means (n,) of the blocks.
         others: covariance (n, n) of the other errors, as the data support them best.
-        shorter: variance of the shorter correlated errors.
+        variance: variance of the long error.
         pairs: lags of the blocks.
         edge: edge of a block, in cells.
         extent: longest edge of the area, in cells.
     """
-    if not shorter > 0:
+    if not variance > 0:
         return _FAR_PRIOR
     far = _block_correlation(_GAUSSIAN, pairs, edge, _FAR_LENGTH_SHARE * extent)
     factor: FloatArray = np.linalg.cholesky(others)
-    squares, log_determinant = _contrasts(values, factor, shorter * far).forms(_FAR_RATIOS)
+    squares, log_determinant = _contrasts(values, factor, variance * far).forms(_FAR_RATIOS)
     log = -0.5 * (squares + log_determinant)
     weights = _FAR_PRIOR * np.exp(log - log.max())
     result: FloatArray = weights / weights.sum()
     return result
 
 
-_LOG_PRIOR = np.log(np.concatenate([[0.2], np.full(len(_LONG_RATIOS) - 1, 0.8 / (len(_LONG_RATIOS) - 1))]))
+_LOG_PRIOR = np.log(np.concatenate([[0.5], np.full(len(_LONG_RATIOS) - 1, 0.5 / (len(_LONG_RATIOS) - 1))]))
 
 
 def _block_sums(values: FloatArray, edge: int) -> FloatArray:
