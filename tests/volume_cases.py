@@ -96,7 +96,7 @@ EXACT_M3 = {cone: np.pi * 8**2 * 1.5 / 3, box: 36.0 - 0.8 * 126, ramp: 120.0, we
 
 
 def terrain_of(name: str, rng: np.random.Generator, relief: FloatArray | None = None) -> Heights:
-    """Return the heights of a terrain; those of real terrain are a random part of its relief (H, W), twice per metre."""
+    """Return the heights of a terrain; real terrain is a random part of its relief (H, W), twice per metre."""
     from scipy.ndimage import map_coordinates
 
     if name == "plane":
@@ -178,7 +178,7 @@ def difference(
     before: FloatArray, after: FloatArray, cell: float = 1.0, method: Method = Method.MEAN
 ) -> DemOfDifference:
     """Return the DEM of difference of two epochs."""
-    grid = Grid.over(np.zeros(2), np.full(2, CELLS - 1e-6), cell)
+    grid = Grid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
     surfaces = [surface_of(CellMoments(grid, 0.0).add(points), method, points) for points in (before, after)]
     return difference_of(grid, *surfaces)
 

@@ -6,6 +6,11 @@ variogram is computed about the mean of the same area and so is blind to errors 
 section 4.3). The parameters are estimated by restricted maximum likelihood (Patterson & Thompson 1971), which takes the
 unknown mean into account, and the long range, which determines the uncertainty of volumes, is not fixed at one value:
 sums are weighed over all ranges and variances that the data support.
+
+In simulations of areas of 60 x 60 cells on five terrains, with white and correlated errors of up to a quarter of the
+extent in both epochs, 95 % intervals of net volumes hold the truth in some 95 % of the runs (tests/volume_cases.py):
+in more, with intervals up to twice as wide as need be, where the errors are short against the area, and in 85 to 90 %
+where they are exponential and as long as a quarter of it. Longer errors cannot be told from change.
 """
 
 from __future__ import annotations
@@ -28,6 +33,7 @@ _WINDOW, _MAX_WINDOWS = 10, 8  # edge of the windows of the short range, in cell
 _MIN_WINDOW_SHARE = 0.5  # of stable cells in a window
 _BLOCKS_PER_SIDE, _MIN_BLOCK_SHARE = 14, 0.25
 _SHORT_LENGTHS = (0.8, 1.5, 2.5, 4.5, 8.0, 14.0)  # in cells
+_LEAST_SCALE = 1e-12  # of the white variances, so that equal epochs have errors above 0 too
 _LEAST_GAIN = 4.0  # of the logarithm of the likelihood, by which an error of short range has to explain more
 _SHORT_RATIOS = np.concatenate([[0.0], np.geomspace(0.03, 30, 16)])
 _LONG_RANGES = 8
@@ -344,7 +350,8 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
     ]
     if not windows:
         values, noise = residuals[stable], white[stable]
-        return _ShortError(float(np.mean((values - values.mean()) ** 2 / noise)), 0.0, 0, _SHORT_LENGTHS[0])
+        scale = float(np.mean((values - values.mean()) ** 2 / noise))
+        return _ShortError(max(scale, _LEAST_SCALE), 0.0, 0, _SHORT_LENGTHS[0])
     unit = float(np.mean(np.concatenate([noise for _, noise, _ in windows])))
     best, best_likelihood = _ShortError(1.0, 0.0, 0, _SHORT_LENGTHS[0]), -np.inf
     for family, correlation in enumerate(_FAMILIES):
@@ -359,7 +366,7 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
             ]
             squares, logs = np.sum([part.forms(_SHORT_RATIOS) for part in parts], axis=0)
             freedom = sum(len(part.diagonal) for part in parts)
-            scales = squares / freedom
+            scales = np.maximum(squares / freedom, _LEAST_SCALE * unit)
             likelihoods = -0.5 * (freedom * np.log(scales) + logs)
             likelihoods[1:] -= _LEAST_GAIN
             at = int(likelihoods.argmax())
