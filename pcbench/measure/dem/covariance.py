@@ -159,7 +159,7 @@ class ErrorModel:
 
 @dataclass(frozen=True, eq=False)
 class SumWeights:
-    """What the variance of a weighted sum of cells depends on.
+    """Quantities that determine the variance of a weighted sum of cells.
 
     Attributes:
         white: sum of squared weights times white variances.
