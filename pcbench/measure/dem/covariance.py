@@ -9,8 +9,8 @@ sums are weighed over all ranges and variances that the data support.
 
 In simulations of areas of 60 x 60 cells on five terrains, with white and correlated errors of up to a quarter of the
 extent in both epochs, 95 % intervals of net volumes hold the truth in some 95 % of the runs (tests/volume_cases.py):
-in more, with intervals up to twice as wide as need be, where the errors are short against the area, and in 85 to 90 %
-where they are exponential and as long as a quarter of it. Longer errors cannot be told from change.
+in more, with intervals up to twice as wide as need be, where the errors are short against the area, and in 91 % where
+they are exponential and as long as a quarter of it. Longer errors cannot be told from change.
 """
 
 from __future__ import annotations
