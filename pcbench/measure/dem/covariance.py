@@ -6,6 +6,11 @@ variogram is computed about the mean of the same area and so is blind to errors 
 section 4.3). The parameters are estimated by restricted maximum likelihood (Patterson & Thompson 1971), which takes the
 unknown mean into account, and the long range, which determines the uncertainty of volumes, is not fixed at one value:
 sums are weighed over all ranges and variances that the data support.
+
+In simulations of areas of 60 x 60 cells on five terrains, with white and correlated errors of up to a quarter of the
+extent in both epochs, 95 % intervals of net volumes hold the truth in some 95 % of the runs (tests/volume_cases.py):
+in more, with intervals up to twice as wide as need be, where the errors are short against the area, and in 91 % where
+they are exponential and as long as a quarter of it. Longer errors cannot be told from change.
 """
 
 from __future__ import annotations
@@ -24,10 +29,12 @@ Mask = NDArray[np.bool_]
 
 MIN_STABLE_CELLS = 64
 """Smallest number of stable cells on which correlated errors are estimated."""
-_WINDOW, _MAX_WINDOWS = 12, 8  # edge of the windows of the short range, in cells, and their number
+_WINDOW, _MAX_WINDOWS = 10, 8  # edge of the windows of the short range, in cells, and their number
 _MIN_WINDOW_SHARE = 0.5  # of stable cells in a window
 _BLOCKS_PER_SIDE, _MIN_BLOCK_SHARE = 14, 0.25
 _SHORT_LENGTHS = (0.8, 1.5, 2.5, 4.5, 8.0, 14.0)  # in cells
+_LEAST_SCALE = 1e-12  # of the white variances, so that equal epochs have errors above 0 too
+_LEAST_GAIN = 4.0  # of the logarithm of the likelihood, by which an error of short range has to explain more
 _SHORT_RATIOS = np.concatenate([[0.0], np.geomspace(0.03, 30, 16)])
 _LONG_RANGES = 8
 _LONG_RATIOS = np.concatenate([[0.0], np.geomspace(0.02, 5000, 32)])
@@ -62,7 +69,8 @@ class ErrorModel:
         scales: factor (S,) of the variances of white and short errors that goes with it.
         weights: posterior probability (S,) of each.
         dof: degrees of freedom of the scale.
-        far_variances: variances (Q,) of an error as long as the area, which the data do not exclude.
+        far_ratios: variances (Q,) of an error as long as the area, which the data do not exclude, over that of the
+            long error.
         far_weights: posterior probability (Q,) of each.
         mean: mean of the stable terrain.
         extent: longest edge of the area, in cells: longer errors cannot be told from change.
@@ -78,7 +86,7 @@ class ErrorModel:
     scales: FloatArray
     weights: FloatArray
     dof: float
-    far_variances: FloatArray
+    far_ratios: FloatArray
     far_weights: FloatArray
     mean: float
     extent: int
@@ -102,7 +110,7 @@ class ErrorModel:
     @property
     def far(self) -> CorrelatedError:
         """The error that is correlated over the whole area, which cannot be told from a change of all of it."""
-        variance = float(self.far_weights @ self.far_variances)
+        variance = float(self.far_weights @ self.far_ratios) * float(self.weights @ self.variances)
         return CorrelatedError(variance**0.5, float(self.extent) if variance > 0 else 0.0)
 
     @property
@@ -115,10 +123,11 @@ class ErrorModel:
         near = self.white_scale * sums.white
         if self.short_sigma > 0:
             near += self.short_sigma**2 * sums.form(self.short_family, self.short_length)
-        forms = [sums.form(family, length) for family, length in zip(self.families, self.ranges, strict=True)]
-        within = self.scales * near + self.variances * np.array(forms)
-        whole = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * self.far_variances
-        return np.add.outer(within, whole).ravel(), np.outer(self.weights, self.far_weights).ravel()
+        kinds, numbers = np.unique(np.column_stack([self.families, self.ranges]), axis=0, return_inverse=True)
+        forms = np.array([sums.form(int(family), float(length)) for family, length in kinds])
+        within = self.scales * near + self.variances * forms[numbers.ravel()]
+        far = sums.form(_GAUSSIAN, _FAR_LENGTH_SHARE * self.extent) * np.outer(self.variances, self.far_ratios)
+        return (within[:, None] + far).ravel(), np.outer(self.weights, self.far_weights).ravel()
 
     def sigma(self, sums: SumWeights) -> float:
         """Return the standard deviation of a weighted sum of cells, in units of heights times weight."""
@@ -134,7 +143,7 @@ class ErrorModel:
             further_variance: variance of an independent error of the sum.
         """
         from scipy.optimize import brentq
-        from scipy.stats import t
+        from scipy.special import stdtr
 
         variances, weights = self.variances_of(sums)
         scales = np.sqrt(variances + further_variance)
@@ -143,14 +152,14 @@ class ErrorModel:
         tail = (1 - level) / 2
 
         def excess(width: float) -> float:
-            return float(weights @ t.sf(width / np.maximum(scales, 1e-300), self.dof)) - tail
+            return float(weights @ stdtr(self.dof, -width / np.maximum(scales, 1e-300))) - tail
 
         return float(brentq(excess, 0.0, 1000 * scales.max(), xtol=1e-6 * scales.max()))
 
 
 @dataclass(frozen=True, eq=False)
 class SumWeights:
-    """What the variance of a weighted sum of cells depends on.
+    """Quantities that determine the variance of a weighted sum of cells.
 
     Attributes:
         white: sum of squared weights times white variances.
@@ -255,38 +264,73 @@ def _mean_correlation(family: int, lags: FloatArray, step: int, length: float) -
     return result
 
 
-class _Eigen(NamedTuple):
-    """REML in the eigenbasis of a correlation: eigenvalues (n,) and squared coordinates (n,) of the contrasts."""
+class _Contrasts(NamedTuple):
+    """Whitened contrasts of values, that is without their mean, in a basis whose first axis is that of the contrasts.
 
-    values: FloatArray
-    squares: FloatArray
+    In this basis the correlation is tridiagonal, which gives the likelihood for all variances at once.
+
+    Attributes:
+        diagonal: (n,) of the correlation.
+        beside: (n - 1,) elements beside its diagonal.
+        square: sum of the squared contrasts.
+    """
+
+    diagonal: FloatArray
+    beside: FloatArray
+    square: float
+
+    def forms(self, ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the quadratic form (R,) of the contrasts and the log determinant (R,) of their covariance.
+
+        Args:
+            ratios: variances (R,) of the correlated error in units of the noise, which has the variance 1.
+        """
+        pivots = 1 + np.outer(self.diagonal, ratios)
+        squares = np.outer(self.beside**2, ratios**2)
+        for k in range(len(squares) - 1, -1, -1):
+            pivots[k] -= squares[k] / pivots[k + 1]
+        return self.square / pivots[0], np.log(pivots).sum(axis=0)
 
 
-def _contrasts(values: FloatArray, noise: FloatArray, correlation: FloatArray) -> _Eigen:
-    """Return the whitened contrasts of values (n,), that is without their mean, in the eigenbasis of a correlation.
+def _contrasts(values: FloatArray, noise: FloatArray, correlation: FloatArray) -> _Contrasts:
+    """Return the whitened contrasts of values (n,).
 
     Args:
         values: observations.
-        noise: (n, n) lower Cholesky factor of the covariance of one error.
+        noise: standard deviations (n,) of one error, or the (n, n) lower Cholesky factor of its covariance.
         correlation: (n, n) correlation of the other error.
     """
     from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dsytrd
 
     def whiten(columns: FloatArray) -> FloatArray:
+        if noise.ndim == 1:
+            return columns / noise[:, None]
         result: FloatArray = solve_triangular(noise, columns, lower=True, check_finite=False)
         return result
 
     scaled = whiten(whiten(correlation).T)
     ones, observed = whiten(np.column_stack([np.ones(len(values)), values])).T
-    # Householder's reflection that maps the whitened constant to the first axis; the other axes are the contrasts.
-    axis = ones / np.linalg.norm(ones)
+    # One reflection maps the whitened constant to the first axis, which is dropped, and another one the contrasts.
+    scaled, observed = _reflected(scaled, observed, ones)
+    scaled, observed = scaled[1:, 1:], observed[1:]
+    scaled, observed = _reflected(scaled, observed, observed)
+    _, diagonal, beside, _, _ = dsytrd(scaled, lower=1)
+    return _Contrasts(diagonal, beside, float(observed[0] ** 2))
+
+
+def _reflected(matrix: FloatArray, vector: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a symmetric matrix and a vector after Householder's reflection of a direction to the first axis."""
+    norm = float(np.linalg.norm(direction))
+    if not norm > 0:
+        return matrix, vector
+    axis = direction / norm
     axis[0] += np.copysign(1.0, axis[0])
     axis /= np.linalg.norm(axis)
-    half = scaled - 2 * np.outer(axis, axis @ scaled)
-    reflected = half - 2 * np.outer(half @ axis, axis)
-    observed = observed - 2 * axis * (axis @ observed)
-    eigenvalues, vectors = np.linalg.eigh(reflected[1:, 1:])
-    return _Eigen(np.maximum(eigenvalues, 0.0), (vectors.T @ observed[1:]) ** 2)
+    product = matrix @ axis
+    side = product - (axis @ product) * axis
+    result = matrix - 2 * (np.outer(axis, side) + np.outer(side, axis))
+    return result, vector - 2 * axis * (axis @ vector)
 
 
 class _ShortError(NamedTuple):
@@ -306,7 +350,8 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
     ]
     if not windows:
         values, noise = residuals[stable], white[stable]
-        return _ShortError(float(np.mean((values - values.mean()) ** 2 / noise)), 0.0, 0, _SHORT_LENGTHS[0])
+        scale = float(np.mean((values - values.mean()) ** 2 / noise))
+        return _ShortError(max(scale, _LEAST_SCALE), 0.0, 0, _SHORT_LENGTHS[0])
     unit = float(np.mean(np.concatenate([noise for _, noise, _ in windows])))
     best, best_likelihood = _ShortError(1.0, 0.0, 0, _SHORT_LENGTHS[0]), -np.inf
     for family, correlation in enumerate(_FAMILIES):
@@ -314,20 +359,20 @@ def _fit_short(residuals: FloatArray, white: FloatArray, stable: Mask) -> _Short
             parts = [
                 _contrasts(
                     values,
-                    np.diag(np.sqrt(noise / unit)),
+                    np.sqrt(noise / unit),
                     pairs.matrix(correlation(np.hypot(*pairs.lags) / length)),
                 )
                 for values, noise, pairs in windows
             ]
-            eigenvalues = np.concatenate([part.values for part in parts])
-            squares = np.concatenate([part.squares for part in parts])
-            for ratio in _SHORT_RATIOS:
-                factors = 1 + ratio * eigenvalues
-                scale = float(np.mean(squares / factors))
-                likelihood = -0.5 * (len(squares) * np.log(scale) + np.log(factors).sum())
-                if likelihood > best_likelihood + 1e-9:
-                    best_likelihood = likelihood
-                    best = _ShortError(scale / unit, float(ratio * scale), family, length)
+            squares, logs = np.sum([part.forms(_SHORT_RATIOS) for part in parts], axis=0)
+            freedom = sum(len(part.diagonal) for part in parts)
+            scales = np.maximum(squares / freedom, _LEAST_SCALE * unit)
+            likelihoods = -0.5 * (freedom * np.log(scales) + logs)
+            likelihoods[1:] -= _LEAST_GAIN
+            at = int(likelihoods.argmax())
+            if likelihoods[at] > best_likelihood + 1e-9:
+                best_likelihood, scale = float(likelihoods[at]), float(scales[at])
+                best = _ShortError(scale / unit, float(_SHORT_RATIOS[at]) * scale, family, length)
     return best
 
 
@@ -388,13 +433,13 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     states, logs = [], []
     for family in range(len(_FAMILIES)):
         for far in lengths:
-            eigen = _contrasts(values, factor, _block_correlation(family, pairs, edge, far))
-            factors = 1 + _LONG_RATIOS[:, None] * eigen.values
-            count = len(eigen.squares)
+            contrasts = _contrasts(values, factor, _block_correlation(family, pairs, edge, far))
+            squares, log_determinant = contrasts.forms(_LONG_RATIOS)
+            count = len(contrasts.diagonal)
             # Inverse-gamma prior of the scale about the estimate at the short range, with `_KAPPA_DOF`.
-            squares = (eigen.squares / factors).sum(axis=1) + _KAPPA_DOF * unit
+            squares = squares + _KAPPA_DOF * unit
             scale = squares / (count + _KAPPA_DOF)
-            log = -0.5 * ((count + _KAPPA_DOF) * np.log(squares) + np.log(factors).sum(axis=1))
+            log = -0.5 * ((count + _KAPPA_DOF) * np.log(squares) + log_determinant)
             states += [(family, far, ratio * s, s / unit) for ratio, s in zip(_LONG_RATIOS, scale, strict=True)]
             logs.append(log + _LOG_PRIOR)
     likelihood = np.concatenate(logs)
@@ -402,7 +447,6 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
     weights /= weights.sum()
     family, far, variance, scale = states[int(weights.argmax())]
     others = scale * covariance + variance * _block_correlation(family, pairs, edge, far)
-    shorter = scale * short.variance + variance
     chosen = weights > 1e-4
     families, ranges, variances, scales = (np.array(column) for column in zip(*states, strict=True))
     return ErrorModel(
@@ -416,17 +460,17 @@ def _fit_long(residuals: FloatArray, white: FloatArray, stable: Mask, short: _Sh
         scales=scales[chosen],
         weights=weights[chosen] / weights[chosen].sum(),
         dof=float(len(values) - 1 + _KAPPA_DOF),
-        far_variances=_FAR_RATIOS * shorter,
-        far_weights=_far_weights(values, others, shorter, pairs, edge, extent),
+        far_ratios=_FAR_RATIOS,
+        far_weights=_far_weights(values, others, variance, pairs, edge, extent),
         mean=float(np.average(values, weights=n)),
         extent=extent,
     )
 
 
 def _far_weights(
-    values: FloatArray, others: FloatArray, shorter: float, pairs: LagTable, edge: int, extent: int
+    values: FloatArray, others: FloatArray, variance: float, pairs: LagTable, edge: int, extent: int
 ) -> FloatArray:
-    """Return the posterior probability of errors as long as the area, with `_FAR_RATIOS` times a variance.
+    """Return the posterior probability of errors as long as the area, with `_FAR_RATIOS` times the long variance.
 
     A long error changes all blocks alike, so that only the few contrasts of largest wavelength can exclude it. What
     they cannot exclude widens the intervals of sums over large parts of the area.
@@ -434,24 +478,23 @@ def _far_weights(
     Args:
         values: means (n,) of the blocks.
         others: covariance (n, n) of the other errors, as the data support them best.
-        shorter: variance of the shorter correlated errors.
+        variance: variance of the long error.
         pairs: lags of the blocks.
         edge: edge of a block, in cells.
         extent: longest edge of the area, in cells.
     """
-    if not shorter > 0:
+    if not variance > 0:
         return _FAR_PRIOR
     far = _block_correlation(_GAUSSIAN, pairs, edge, _FAR_LENGTH_SHARE * extent)
     factor: FloatArray = np.linalg.cholesky(others)
-    eigen = _contrasts(values, factor, shorter * far)
-    factors = 1 + _FAR_RATIOS[:, None] * eigen.values
-    log = -0.5 * (eigen.squares / factors + np.log(factors)).sum(axis=1)
+    squares, log_determinant = _contrasts(values, factor, variance * far).forms(_FAR_RATIOS)
+    log = -0.5 * (squares + log_determinant)
     weights = _FAR_PRIOR * np.exp(log - log.max())
     result: FloatArray = weights / weights.sum()
     return result
 
 
-_LOG_PRIOR = np.log(np.concatenate([[0.2], np.full(len(_LONG_RATIOS) - 1, 0.8 / (len(_LONG_RATIOS) - 1))]))
+_LOG_PRIOR = np.log(np.concatenate([[0.5], np.full(len(_LONG_RATIOS) - 1, 0.5 / (len(_LONG_RATIOS) - 1))]))
 
 
 def _block_sums(values: FloatArray, edge: int) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights, fit_errors
 from pcbench.measure.dem.grid import Grid
 from pcbench.measure.dem.surface import Surface, slopes_deg
@@ -89,6 +89,13 @@ class DemOfDifference:
     def is_offset_subtracted(self) -> bool:
         """Whether the mean difference of named stable terrain was subtracted."""
         return self.offset is not None
+
+    @cached_property
+    def part_signs(self) -> IntArray:
+        """Sign (P + 1,) of the sum of the differences of each part; 0 for the cells outside of all."""
+        sums = np.bincount(self.parts.ravel(), np.nan_to_num(self.dz).ravel())
+        sums[0] = 0.0
+        return np.sign(sums).astype(np.int64)
 
     @property
     def measured(self) -> Mask:
@@ -170,7 +177,9 @@ def difference_of(
         parts = changed_parts(dz, cell_sigma(model, scaled, datum_sigma))
         if named_stable is not None:
             break
-        stable = _without_outliers(dz, scaled, allowed & (parts == 0))
+        unchanged, stable = stable, _without_outliers(dz, scaled, allowed & (parts == 0))
+        if np.array_equal(unchanged, stable):
+            break
     return DemOfDifference(
         grid,
         before,

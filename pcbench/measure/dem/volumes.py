@@ -59,7 +59,7 @@ class AreaChange:
         area: area with a difference, in squared units.
         void_area: area without points in an epoch, which no volume includes.
         filled_area: part of `area` of which the differences were filled from the neighbours.
-        volumes: volumes of all cells: changed parts by the sign of each cell, the rest by its sum.
+        volumes: volumes of all cells: each changed part by the sign of its sum, the rest by its sum.
         by_sign: fill and cut as plain sums by sign, which errors enlarge on both sides.
         detected: volumes of the cells beyond the level of detection alone.
         mean: mean change of height.
@@ -132,17 +132,18 @@ def half_width(difference: DemOfDifference, weights: FloatArray) -> float:
 
 
 def _volumes(difference: DemOfDifference, cells: Mask, dz: FloatArray) -> CutFill:
-    """Return the volumes of cells: changed parts by the sign of each cell, the other cells by their sum.
+    """Return the volumes of cells: each changed part by the sign of its sum, the other cells by their common sum.
 
-    The other cells show no change of their own, so that a sum by sign would mostly add up their errors.
+    A sum by the sign of each cell would add up the errors of the cells that did not change. What the other cells hide
+    is taken as a change of one sign: a volume is that of the parts alone, or with the other cells, whichever is larger.
     """
     cell_area = difference.grid.cell_area
-    inside = cells & (difference.parts > 0)
-    outside = cells & ~inside
+    outside = cells & (difference.parts == 0)
+    signs = difference.part_signs[difference.parts]
     rest = float(dz[outside].sum()) * cell_area
     sides = []
     for sign in (1, -1):
-        own = inside & (sign * dz > 0)
+        own = cells & (signs == sign)
         volume = abs(float(dz[own].sum())) * cell_area
         alone = half_width(difference, own.astype(float))
         both = half_width(difference, (own | outside).astype(float))

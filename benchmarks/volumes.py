@@ -1,0 +1,46 @@
+"""Coverage of 95 % intervals of volumes: python benchmarks/volumes.py [--runs 20] [--terrains plane hills]
+
+Each run makes two epochs of points with new errors and one of five changes of exact volume (tests/volume_cases.py). A
+cell has the share of runs whose interval holds the truth and, for net volumes, half the median width of the intervals
+over 1.96 times the root mean square of the errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from measure import limit_threads, setting
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from volume_cases import CHANGES, cases, run
+
+KINDS = ("net", "zone", "part", "fill", "cut")
+TERRAINS = ("plane", "ramp", "hills", "rough")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--terrains", nargs="*", default=TERRAINS)
+    options = parser.parse_args()
+    limit_threads(1)
+    print(setting())
+    print(f"{'terrain, errors':28}" + "".join(f"{kind:>14}" for kind in KINDS))
+    for number, (name, case) in enumerate(cases(options.terrains)):
+        line = f"{name:28}"
+        runs = [run(case, CHANGES[k % len(CHANGES)], 1000 * number + k) for k in range(options.runs)]
+        for kind in KINDS:
+            pairs = [(each.measured[kind], each.true[kind]) for each in runs if kind in each.measured]
+            held = np.mean([m.low <= true <= m.high for m, true in pairs])
+            error = np.sqrt(np.mean([(m.value - true) ** 2 for m, true in pairs]))
+            width = np.median([m.high - m.low for m, _ in pairs]) / (2 * 1.96 * error)
+            line += f"{held:7.2f} ({width:4.2f})" if kind in ("net", "zone", "part") else f"{held:14.2f}"
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Cells of a grid and the heights of their points, against slow oracles."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import LinearNDInterpolator
+
+from pcbench.errors import InputError
+from pcbench.measure.dem.grid import CellMoments, Grid, default_cell
+from pcbench.measure.dem.surface import Method, slopes_deg, surface_of
+
+
+def _points(count: int = 900) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    points = rng.uniform(0, 9.999, (count, 3))
+    points[:, 2] = 0.5 * points[:, 0] + rng.standard_normal(count)
+    return points
+
+
+GRID = Grid.over(np.zeros(2), np.full(2, 9.999), 1.0)
+
+
+def test_cells_are_numbered_from_north_west_and_aligned_with_multiples_of_their_edge() -> None:
+    grid = Grid.over(np.array([12.1, 7.3]), np.array([15.0, 8.9]), 0.5)
+    assert (grid.west, grid.north, grid.shape) == (12.0, 9.0, (4, 7))
+    corners = np.array([[12.0, 8.5], [12.0, 8.999], [12.5, 8.5], [12.0, 7.0], [11.9, 8.0], [15.5, 8.0], [13.0, 9.0]])
+    assert grid.numbers(corners).tolist() == [0, 0, 1, 21, -1, -1, -1]
+    assert grid.numbers(grid.centres()).tolist() == list(range(grid.size))
+
+
+def test_too_many_cells_are_refused() -> None:
+    with pytest.raises(InputError, match="choose larger cells"):
+        Grid.over(np.zeros(2), np.full(2, 1e6), 0.1)
+
+
+@pytest.mark.parametrize(("density", "cell"), [(4.0, 1.0), (3.9, 2.0), (400.0, 0.1), (0.04, 10.0), (0.9, 5.0)])
+def test_default_cell_holds_four_points_on_average(density: float, cell: float) -> None:
+    assert default_cell(1e4, density) == pytest.approx(cell)
+
+
+def test_moments_do_not_depend_on_pieces_or_order() -> None:
+    points = np.round(_points() * 256) / 256  # so that sums are exact
+    whole = CellMoments(GRID, 1.0).add(points)
+    parts = CellMoments(GRID, 1.0)
+    for piece in np.array_split(points[::-1], 7):
+        parts.add(piece)
+    for name in ("counts", "sums", "squares", "lowest"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
+
+
+@pytest.mark.parametrize(
+    ("method", "oracle"), [(Method.MEAN, np.mean), (Method.MEDIAN, np.median), (Method.LOWEST, np.min)]
+)
+def test_heights_of_cells(method: Method, oracle) -> None:
+    points = _points()
+    heights = surface_of(CellMoments(GRID, 2.0).add(points), method, points).heights
+    numbers = GRID.numbers(points)
+    expected = [oracle(points[numbers == k, 2]) for k in range(GRID.size)]
+    np.testing.assert_allclose(heights.ravel(), expected, atol=1e-12)  # sums of tens of numbers of size 10
+
+
+def test_triangulated_heights() -> None:
+    points = _points(300)
+    heights = surface_of(CellMoments(GRID, 0.0).add(points), Method.TIN, points).heights.ravel()
+    expected = LinearNDInterpolator(points[:, :2], points[:, 2])(GRID.centres())
+    both = np.isfinite(heights)
+    assert both.sum() > 90
+    np.testing.assert_allclose(heights[both], expected[both], atol=1e-9)
+
+
+def test_slopes_of_a_plane_with_a_void() -> None:
+    rows, columns = np.mgrid[:6, :7]
+    heights = 2.0 * (0.3 * rows - 0.4 * columns)
+    heights[2, 3] = np.nan
+    np.testing.assert_allclose(slopes_deg(heights, 2.0)[heights == heights], np.degrees(np.arctan(0.5)))
+
+
+def test_variances_of_means_are_those_of_repeated_points() -> None:
+    rng = np.random.default_rng(5)
+    means, stated = [], []
+    for _ in range(40):
+        points = rng.uniform(0, 9.999, (600, 3))
+        points[:, 2] = 0.2 * rng.standard_normal(600)
+        surface = surface_of(CellMoments(GRID, 0.0).add(points), Method.MEAN)
+        means.append(surface.heights)
+        stated.append(surface.variances)
+    ratio = np.nanmean(np.square(means)) / np.nanmean(stated)
+    assert 0.9 < ratio < 1.1  # 4,000 independent cells: standard error 2 %

@@ -1,0 +1,78 @@
+"""Volumes of changes that are known exactly, and their intervals."""
+
+import numpy as np
+import pytest
+from volume_cases import CELLS, CHANGES, EXACT_M3, NOISES, Case, Noise, box, cases, cell_sums, cone, run
+
+from pcbench.measure.dem.difference import changed_parts, difference_of
+from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.surface import Surface
+from pcbench.measure.dem.volumes import area_change, area_changes
+
+GRID = Grid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
+
+
+def _surface(heights: np.ndarray, variance: float = 1e-4) -> Surface:
+    counts = np.where(np.isfinite(heights), 5, 0).astype(np.int32)
+    return Surface(heights, np.where(np.isfinite(heights), variance, np.nan), counts)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_exact_volume_without_noise(change) -> None:
+    result = difference_of(GRID, _surface(np.zeros((CELLS, CELLS))), _surface(cell_sums(change)))
+    whole = next(area_changes(result, {}))
+    # Heights at 8 x 8 places of a cell: the rim of the cone and the edges of the others are cut at 1/8 m.
+    assert whole.volumes.net.value == pytest.approx(EXACT_M3[change], rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_errors_alone_make_no_part(seed: int) -> None:
+    noise = np.random.default_rng(seed).standard_normal((CELLS, CELLS))
+    assert not changed_parts(noise, np.ones_like(noise)).any()
+
+
+def test_parts_of_a_cone_and_of_a_box_and_a_pit() -> None:
+    case = Case("plane", Noise())
+    # The rim of the cone, which is lower than the errors of its cells, is not all in the part.
+    assert run(case, cone, 1).true["part"] == pytest.approx(EXACT_M3[cone], rel=0.05)
+    noise = 0.03 * np.random.default_rng(0).standard_normal((CELLS, CELLS))
+    parts = changed_parts(cell_sums(box) + noise, np.full(noise.shape, 0.03))
+    assert parts.max() == 2
+    assert (parts[cell_sums(box) < 0] == 1).all() and (parts[cell_sums(box) > 0] == 2).all()
+
+
+def test_offset_of_named_stable_terrain_is_subtracted_with_its_error() -> None:
+    rng = np.random.default_rng(4)
+    stable = np.zeros((CELLS, CELLS), dtype=bool)
+    stable[:, :20] = True
+    dz = 0.1 + 0.01 * rng.standard_normal(stable.shape)
+    result = difference_of(GRID, _surface(np.zeros_like(dz)), _surface(dz), named_stable=stable)
+    assert result.offset == pytest.approx(dz[stable].mean())
+    zone = np.zeros_like(stable)
+    zone[10:20, 30:40] = True
+    sums = result.sum_weights(zone.astype(float))
+    assert sums.white == pytest.approx(2e-4 * (100 + 100**2 / 1200), rel=0.3)  # by slope and density within a quarter
+    assert abs(area_change(result, "", stable).volumes.net.value) < 1e-9
+
+
+def test_voids_are_left_out_or_filled_from_their_neighbours() -> None:
+    after = np.full((CELLS, CELLS), 0.5)
+    after[30, 30], after[40:55, 40:55] = np.nan, np.nan
+    left_out = area_change(difference_of(GRID, _surface(np.zeros_like(after)), _surface(after)), "", after == after)
+    assert left_out.area == CELLS**2 - 226
+    result = difference_of(GRID, _surface(np.zeros_like(after)), _surface(after), is_filled=True)
+    assert result.filled[30, 30] and result.dz[30, 30] == pytest.approx(0.5)
+    assert np.isnan(result.dz[47, 47])  # more than five cells from any other
+
+
+@pytest.mark.slow
+def test_intervals_cover() -> None:
+    held: list[bool] = []
+    chosen = [
+        (name, case) for name, case in cases(("plane", "ramp", "hills", "rough")) if name.split(", ")[1] in NOISES
+    ]
+    for number, (_, case) in enumerate(chosen):
+        for at, change in enumerate(CHANGES):
+            result = run(case, change, 1000 * number + at)
+            held += [m.low <= result.true[kind] <= m.high for kind, m in result.measured.items() if kind != "part"]
+    assert 0.92 <= np.mean(held) <= 0.995  # 120 runs of four volumes, which depend on each other: standard error 1 %
