@@ -9,9 +9,9 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.difference import DemOfDifference, Mask, difference_of
-from pcbench.measure.dem.grid import CellMoments, Grid
-from pcbench.measure.dem.surface import Method, surface_of
-from pcbench.measure.dem.volumes import MeasuredValue, area_change
+from pcbench.measure.dem.grid import CellMoments, HeightGrid
+from pcbench.measure.dem.surface import GridMethod, surface_of
+from pcbench.measure.dem.volumes import EstimatedChange, area_change
 
 CELLS = 60
 """Edge of the area, in cells of 1 m."""
@@ -50,7 +50,7 @@ class Case(NamedTuple):
 class Run(NamedTuple):
     """Measured and true volumes of one pair of epochs, in m3, by kind."""
 
-    measured: dict[str, MeasuredValue]
+    measured: dict[str, EstimatedChange]
     true: dict[str, float]
 
 
@@ -175,15 +175,17 @@ def epochs(
 
 
 def difference(
-    before: FloatArray, after: FloatArray, cell: float = 1.0, method: Method = Method.MEAN
+    before: FloatArray, after: FloatArray, cell: float = 1.0, method: GridMethod = GridMethod.MEAN
 ) -> DemOfDifference:
     """Return the DEM of difference of two epochs."""
-    grid = Grid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
+    grid = HeightGrid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
     surfaces = [surface_of(CellMoments(grid, 0.0).add(points), method, points) for points in (before, after)]
     return difference_of(grid, *surfaces)
 
 
-def run(case: Case, change: Heights, seed: int, real: FloatArray | None = None, method: Method = Method.MEAN) -> Run:
+def run(
+    case: Case, change: Heights, seed: int, real: FloatArray | None = None, method: GridMethod = GridMethod.MEAN
+) -> Run:
     """Return measured and true volumes: of the whole area, of a zone around the change, and of the changed part."""
     rng = np.random.default_rng(seed)
     result = difference(*epochs(case, change, rng, real), method=method)

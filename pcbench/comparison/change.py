@@ -26,7 +26,7 @@ from pcbench.measure.dem.epochs import (
     epoch_surface,
     open_epoch,
 )
-from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.profiles import profile_along
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import place_changes, trend_of, years
@@ -176,7 +176,7 @@ def change_files(
     return ChangeOutcome(document, *written)
 
 
-def _zone_masks(path: Path | None, regions: Mapping[str, Region], grid: Grid) -> dict[str, Mask]:
+def _zone_masks(path: Path | None, regions: Mapping[str, Region], grid: HeightGrid) -> dict[str, Mask]:
     """Return the cells of each zone whose centres lie inside.
 
     Raises:
@@ -193,14 +193,14 @@ def _zone_masks(path: Path | None, regions: Mapping[str, Region], grid: Grid) ->
     return masks
 
 
-def _stable_mask(path: Path, grid: Grid) -> Mask:
+def _stable_mask(path: Path, grid: HeightGrid) -> Mask:
     mask = _cells_inside(read_polygon(path), grid)
     if not mask.any():
         raise InputError(f"{path}: expected stable terrain in the area that the epochs share: check the polygon")
     return mask
 
 
-def _cells_inside(region: Region, grid: Grid) -> Mask:
+def _cells_inside(region: Region, grid: HeightGrid) -> Mask:
     """Return the cells (H, W) whose centres lie inside a region in the plane, row by row to bound the memory."""
     rows = []
     for y in grid.rows_y:
@@ -209,7 +209,7 @@ def _cells_inside(region: Region, grid: Grid) -> Mask:
     return np.array(rows)
 
 
-def _along_normals(first: Epoch, second: Epoch, grid: Grid, memory: int, datum_sigma: float) -> NormalVolume:
+def _along_normals(first: Epoch, second: Epoch, grid: HeightGrid, memory: int, datum_sigma: float) -> NormalVolume:
     """Read the points of both epochs in the grid, and measure the volume along normals.
 
     Raises:

@@ -5,13 +5,13 @@ import pytest
 
 from pcbench.geometry.regions import Polygon
 from pcbench.measure.dem.along_normals import volume_along_normals
-from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.outlines import outlines_of
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
 def test_outlines_contain_exactly_the_cells(share):
-    grid = Grid(100.0, 200.0, 2.0, (30, 40))
+    grid = HeightGrid(100.0, 200.0, 2.0, (30, 40))
     mask = np.random.default_rng(round(10 * share)).random(grid.shape) < share
     centres = np.column_stack([grid.centres(), np.zeros(grid.size)])
     inside = np.zeros(grid.size, dtype=int)
@@ -21,7 +21,7 @@ def test_outlines_contain_exactly_the_cells(share):
 
 
 def test_an_outline_has_corners_only_where_it_turns():
-    grid = Grid(0.0, 10.0, 1.0, (10, 10))
+    grid = HeightGrid(0.0, 10.0, 1.0, (10, 10))
     mask = np.zeros(grid.shape, dtype=bool)
     mask[2:8, 1:9] = True
     mask[4:6, 3:5] = False

@@ -18,7 +18,7 @@ from pcbench.io import read_cloud
 from pcbench.io.json_values import from_json
 from pcbench.measure.dem.epochs import date_of
 from pcbench.measure.dem.settings import ChangeSettings
-from pcbench.measure.dem.volumes import MeasuredValue
+from pcbench.measure.dem.volumes import EstimatedChange
 from pcbench.report.article import markdown
 from pcbench.report.change.article import article
 from pcbench.report.change.document import ChangeDocument, ErrorRecord, NormalsRecord, RangedError, date_in_name
@@ -224,9 +224,9 @@ def test_dates_are_as_precise_as_the_names():
 
 def test_numbers_have_three_significant_digits():
     assert [decimals_for(size) for size in (0.0123, 1.5, 99.9, 100, 4.6e6)] == [4, 2, 1, 0, 0]
-    assert measured_text(MeasuredValue(375.98, 125.36, 626.6), signed=True) == "+376 [125, 627]"
-    assert measured_text(MeasuredValue(0.0266, 0.0089, 0.0444)) == "0.0266 [0.0089, 0.0444]"
-    assert measured_text(MeasuredValue(1848.2, np.nan, np.nan)) == "1,848"
+    assert measured_text(EstimatedChange(375.98, 125.36, 626.6), signed=True) == "+376 [125, 627]"
+    assert measured_text(EstimatedChange(0.0266, 0.0089, 0.0444)) == "0.0266 [0.0089, 0.0444]"
+    assert measured_text(EstimatedChange(1848.2, np.nan, np.nan)) == "1,848"
     assert number_text(-0.543, signed=True) == "-0.543"
 
 

@@ -18,7 +18,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import cells
 from pcbench.measure.dem.covariance import Mask
-from pcbench.measure.dem.volumes import CutFill, MeasuredValue
+from pcbench.measure.dem.volumes import CutFill, EstimatedChange
 from pcbench.measure.deviation import M3C2, m3c2
 
 _RADIUS_SPACINGS = 3.0
@@ -51,7 +51,7 @@ class NormalVolume:
     area: float
     void_area: float
     volumes: CutFill
-    mean: MeasuredValue
+    mean: EstimatedChange
     steep_share: float
     undetected_share: float
 
@@ -97,7 +97,7 @@ def volume_along_normals(
     fill, cut = (float((areas * np.maximum(sign * distances, 0)).sum()) for sign in (1, -1))
     area = float(areas[measured].sum())
     steep = np.abs(normals[:, 2]) < np.cos(np.radians(STEEP_DEG))
-    net = MeasuredValue.within(fill - cut, halves[2])
+    net = EstimatedChange.within(fill - cut, halves[2])
     level = 1.96 * np.hypot(sigma, correlation.sigma)
     return NormalVolume(
         result.shifted(-origin),
@@ -105,7 +105,9 @@ def volume_along_normals(
         side,
         area,
         float(areas[~measured].sum()),
-        CutFill(MeasuredValue.within(fill, halves[0], least=0.0), MeasuredValue.within(cut, halves[1], least=0.0), net),
+        CutFill(
+            EstimatedChange.within(fill, halves[0], least=0.0), EstimatedChange.within(cut, halves[1], least=0.0), net
+        ),
         net.scaled(1 / area if area else np.nan),
         float(areas[steep].sum() / areas.sum()) if len(areas) else 0.0,
         float(areas[measured & (np.abs(distances) <= level)].sum() / area) if area else 1.0,

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights, fit_errors
-from pcbench.measure.dem.grid import Grid
-from pcbench.measure.dem.surface import Surface, slopes_deg
+from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights
+from pcbench.measure.dem.grid import HeightGrid
+from pcbench.measure.dem.reml import fit_errors
+from pcbench.measure.dem.surface import EpochSurface, slopes_deg
 
 LEVEL_Z = 1.96
 """Standard deviations of the level of detection, which 95 % of differences without change do not exceed."""
@@ -70,9 +71,9 @@ class DemOfDifference:
         slopes_deg: (H, W) slope of the mean of both epochs.
     """
 
-    grid: Grid
-    before: Surface
-    after: Surface
+    grid: HeightGrid
+    before: EpochSurface
+    after: EpochSurface
     dz: FloatArray
     white: FloatArray
     filled: Mask
@@ -132,9 +133,9 @@ def cell_sigma(model: ErrorModel | None, white: FloatArray, datum_sigma: float) 
 
 
 def difference_of(
-    grid: Grid,
-    before: Surface,
-    after: Surface,
+    grid: HeightGrid,
+    before: EpochSurface,
+    after: EpochSurface,
     *,
     named_stable: Mask | None = None,
     is_filled: bool = False,

@@ -21,8 +21,8 @@ from pcbench.geometry.crs import check_lengths, crs_name, same_crs, single_unit
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
-from pcbench.measure.dem.grid import BYTES_PER_CELL, CellMoments, Grid, default_cell
-from pcbench.measure.dem.surface import Method, Surface, surface_of
+from pcbench.measure.dem.grid import BYTES_PER_CELL, CellMoments, HeightGrid, default_cell
+from pcbench.measure.dem.surface import EpochSurface, GridMethod, surface_of
 
 _MAX_COVERAGE_CELLS = 4096
 _POINTS_PER_COVERAGE_CELL = 16
@@ -179,7 +179,7 @@ def check_same_system(epochs: Sequence[Epoch]) -> None:
             raise InputError(f"{names}: expected surveys of one area, but their extents do not meet: check the files")
 
 
-def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Grid:
+def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> HeightGrid:
     """Return the grid of the area that the first survey shares with the others.
 
     Args:
@@ -197,7 +197,7 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Gri
     if cell is None:
         density = min(epoch.density for epoch in epochs)
         cell = default_cell(float(width * height), density, max_cells)
-    grid = Grid.over(low, high, cell)
+    grid = HeightGrid.over(low, high, cell)
     if grid.size > max_cells * 1.1:
         needed = (_BASE_BYTES + grid.size * BYTES_PER_CELL) / (1 << 20)
         raise InputError(
@@ -207,7 +207,9 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Gri
     return grid
 
 
-def epoch_surface(epoch: Epoch, grid: Grid, method: Method, memory: int, step: Callable[[str], None]) -> Surface:
+def epoch_surface(
+    epoch: Epoch, grid: HeightGrid, method: GridMethod, memory: int, step: Callable[[str], None]
+) -> EpochSurface:
     """Read a survey and return its heights on a grid.
 
     Args:

@@ -20,7 +20,7 @@ BYTES_PER_CELL = 250
 
 
 @dataclass(frozen=True)
-class Grid:
+class HeightGrid:
     """Square cells with rows from north to south and columns from west to east, aligned with multiples of their edge.
 
     Attributes:
@@ -36,7 +36,7 @@ class Grid:
     shape: tuple[int, int]
 
     @classmethod
-    def over(cls, low: FloatArray, high: FloatArray, cell: float) -> Grid:
+    def over(cls, low: FloatArray, high: FloatArray, cell: float) -> HeightGrid:
         """Return the grid of all cells that points between two corners can lie in.
 
         Args:
@@ -123,7 +123,7 @@ class CellMoments:
     Heights are relative to `base`, so that sums of squares keep their digits.
     """
 
-    grid: Grid
+    grid: HeightGrid
     base: float
     counts: NDArray[np.int32] = field(init=False)
     sums: FloatArray = field(init=False)

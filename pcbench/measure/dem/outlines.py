@@ -8,7 +8,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.covariance import Mask
-from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.grid import HeightGrid
 
 _TURNS = ((0, 1), (1, 0), (0, -1), (-1, 0))  # directions on the lattice of corners as (row, column): E, S, W, N
 
@@ -20,7 +20,7 @@ class Outline(NamedTuple):
     holes: tuple[FloatArray, ...]
 
 
-def outlines_of(mask: Mask, grid: Grid) -> list[Outline]:
+def outlines_of(mask: Mask, grid: HeightGrid) -> list[Outline]:
     """Return the polygons of the cells of a mask (H, W), one for each group of cells that share edges.
 
     The area of the polygons is exactly that of the cells.
@@ -79,7 +79,7 @@ def _rings(mask: Mask) -> list[FloatArray]:
     return rings
 
 
-def _placed(ring: FloatArray, grid: Grid) -> FloatArray:
+def _placed(ring: FloatArray, grid: HeightGrid) -> FloatArray:
     return np.column_stack([grid.west + ring[:, 1] * grid.cell, grid.north - ring[:, 0] * grid.cell])
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.difference import DemOfDifference
-from pcbench.measure.dem.grid import Grid
-from pcbench.measure.dem.surface import Surface
+from pcbench.measure.dem.grid import HeightGrid
+from pcbench.measure.dem.surface import EpochSurface
 
 _STEPS_PER_CELL = 2
 
@@ -35,8 +35,8 @@ class Profile:
 
 def profile_along(
     line: tuple[float, float, float, float],
-    grid: Grid,
-    surfaces: Sequence[Surface],
+    grid: HeightGrid,
+    surfaces: Sequence[EpochSurface],
     differences: Sequence[DemOfDifference],
 ) -> Profile:
     """Return the heights of the cells along a line, twice per cell.

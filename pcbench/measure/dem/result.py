@@ -11,7 +11,7 @@ from pcbench.measure.dem.along_normals import NormalVolume
 from pcbench.measure.dem.covariance import Mask
 from pcbench.measure.dem.difference import DemOfDifference
 from pcbench.measure.dem.epochs import Epoch
-from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.profiles import Profile
 from pcbench.measure.dem.series import HeightTrend, PlaceChange, years
 from pcbench.measure.dem.settings import ChangeSettings
@@ -71,7 +71,7 @@ class AreaHistory:
 
     settings: ChangeSettings
     epochs: tuple[Epoch, ...]
-    grid: Grid
+    grid: HeightGrid
     zones: Mapping[str, Mask]
     zone_regions: Mapping[str, Region]
     changes: tuple[EpochChange, ...]

@@ -10,8 +10,8 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.difference import LEVEL_Z, DemOfDifference
-from pcbench.measure.dem.grid import Grid
-from pcbench.measure.dem.volumes import MeasuredValue
+from pcbench.measure.dem.grid import HeightGrid
+from pcbench.measure.dem.volumes import EstimatedChange
 
 DAYS_PER_YEAR = 365.25
 
@@ -26,7 +26,7 @@ class PlaceChange:
     """
 
     place: tuple[float, float]
-    changes: tuple[MeasuredValue, ...]
+    changes: tuple[EstimatedChange, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def years(dates: Sequence[date | None]) -> FloatArray | None:
 
 
 def place_changes(
-    places: Sequence[tuple[float, float]], grid: Grid, differences: Sequence[DemOfDifference]
+    places: Sequence[tuple[float, float]], grid: HeightGrid, differences: Sequence[DemOfDifference]
 ) -> list[PlaceChange]:
     """Return the change of places in each difference to the first epoch."""
     result = []
@@ -66,11 +66,11 @@ def place_changes(
         changes = []
         for difference in differences:
             if number < 0:
-                changes.append(MeasuredValue(np.nan, np.nan, np.nan))
+                changes.append(EstimatedChange(np.nan, np.nan, np.nan))
                 continue
             cell = divmod(number, grid.shape[1])
             value, sigma = float(difference.dz[cell]), float(difference.sigma[cell])
-            changes.append(MeasuredValue.within(value, LEVEL_Z * sigma))
+            changes.append(EstimatedChange.within(value, LEVEL_Z * sigma))
         result.append(PlaceChange(place, tuple(changes)))
     return result
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pcbench.errors import InputError
-from pcbench.measure.dem.surface import Method
+from pcbench.measure.dem.surface import GridMethod
 from pcbench.options import (
     CLASSES_HELP,
     RETURNS_HELP,
@@ -22,16 +22,16 @@ Line = tuple[float, float, float, float]
 Place = tuple[float, float]
 
 
-def _parse_method(flag: str, text: str) -> Method:
+def _parse_method(flag: str, text: str) -> GridMethod:
     """Parse the name of a method.
 
     Raises:
         InputError: there is no such method.
     """
     try:
-        return Method(text.strip().lower())
+        return GridMethod(text.strip().lower())
     except ValueError:
-        raise InputError(f"expected {flag} as {', '.join(Method)}, got {text!r}") from None
+        raise InputError(f"expected {flag} as {', '.join(GridMethod)}, got {text!r}") from None
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class ChangeSettings:
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
     )
-    surface: Method = setting(
-        Method.MEAN.value,
+    surface: GridMethod = setting(
+        GridMethod.MEAN.value,
         "--surface",
         "Height of a cell: mean, median or lowest of its points, or tin (triangulated, at its centre).",
         metavar="METHOD",

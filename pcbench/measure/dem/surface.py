@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.dem.grid import CellMoments, Grid
+from pcbench.measure.dem.grid import CellMoments, HeightGrid
 
 _SLOPE_EDGES_DEG = np.array([0.0, 2, 5, 10, 15, 20, 30, 40, 50, 60, 75, 90.001])
 _PRIOR_POINTS = 4.0
@@ -18,7 +18,7 @@ _MAX_TRIANGLE_CELLS = 3.0
 """Longest edge of a triangle that heights are interpolated in, in cells."""
 
 
-class Method(StrEnum):
+class GridMethod(StrEnum):
     """How the points of a cell become its height."""
 
     MEAN = "mean"
@@ -29,11 +29,11 @@ class Method(StrEnum):
     @property
     def needs_all_points(self) -> bool:
         """Whether all points of a cloud have to be in memory."""
-        return self in (Method.MEDIAN, Method.TIN)
+        return self in (GridMethod.MEDIAN, GridMethod.TIN)
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class EpochSurface:
     """The heights of one epoch.
 
     Attributes:
@@ -47,7 +47,7 @@ class Surface:
     counts: NDArray[np.int32]
 
 
-def surface_of(moments: CellMoments, method: Method, points: FloatArray | None = None) -> Surface:
+def surface_of(moments: CellMoments, method: GridMethod, points: FloatArray | None = None) -> EpochSurface:
     """Return the heights of an epoch.
 
     Args:
@@ -62,20 +62,20 @@ def surface_of(moments: CellMoments, method: Method, points: FloatArray | None =
         scatter = np.maximum(moments.squares - moments.sums * means, 0.0)  # sum of squared deviations from the mean
     means, scatter = (np.where(moments.counts > 0, values, np.nan).reshape(grid.shape) for values in (means, scatter))
     variances = _point_variances(means, scatter, counts, grid.cell)
-    if method is Method.MEAN:
+    if method is GridMethod.MEAN:
         heights, variances = means + moments.base, variances / counts
-    elif method is Method.LOWEST:
+    elif method is GridMethod.LOWEST:
         heights = np.where(counts > 0, moments.lowest.reshape(grid.shape) + moments.base, np.nan)
     else:
         assert points is not None
-        if method is Method.MEDIAN:
+        if method is GridMethod.MEDIAN:
             heights, variances = _medians(grid, points), np.pi / 2 * variances / counts
         else:
             heights = _interpolated(grid, points)
             # The mean of the squared weights of three corners at a random place in their triangle is 1/2.
             variances = 0.5 * np.where(np.isfinite(variances), variances, np.nanmedian(variances))
     missing = ~np.isfinite(heights)
-    return Surface(heights, np.where(missing, np.nan, variances), counts)
+    return EpochSurface(heights, np.where(missing, np.nan, variances), counts)
 
 
 def slopes_deg(heights: FloatArray, cell: float) -> FloatArray:
@@ -114,7 +114,7 @@ def _point_variances(means: FloatArray, scatter: FloatArray, counts: NDArray[np.
     return np.where(counts > 0, result, np.nan)
 
 
-def _medians(grid: Grid, points: FloatArray) -> FloatArray:
+def _medians(grid: HeightGrid, points: FloatArray) -> FloatArray:
     numbers = grid.numbers(points)
     order = np.lexsort((points[:, 2], numbers))
     order = order[numbers[order] >= 0]
@@ -126,7 +126,7 @@ def _medians(grid: Grid, points: FloatArray) -> FloatArray:
     return medians.reshape(grid.shape)
 
 
-def _interpolated(grid: Grid, points: FloatArray) -> FloatArray:
+def _interpolated(grid: HeightGrid, points: FloatArray) -> FloatArray:
     """Return the heights of the triangulated points at the centres of the cells; NaN in triangles with long edges."""
     from scipy.spatial import Delaunay
 

@@ -18,7 +18,7 @@ MOST_PARTS = 100
 """Largest number of changed parts that are listed."""
 
 
-class MeasuredValue(NamedTuple):
+class EstimatedChange(NamedTuple):
     """A value with its 95 % interval; without an estimate of the errors the ends are NaN."""
 
     value: float
@@ -26,13 +26,13 @@ class MeasuredValue(NamedTuple):
     high: float
 
     @classmethod
-    def within(cls, value: float, half_width: float, *, least: float = -np.inf) -> MeasuredValue:
+    def within(cls, value: float, half_width: float, *, least: float = -np.inf) -> EstimatedChange:
         """Return a value with a symmetric interval, cut off at the least possible value."""
         return cls(value, max(value - half_width, least) if half_width == half_width else np.nan, value + half_width)
 
-    def scaled(self, factor: float) -> MeasuredValue:
+    def scaled(self, factor: float) -> EstimatedChange:
         """Return the value in another unit."""
-        return MeasuredValue(self.value * factor, self.low * factor, self.high * factor)
+        return EstimatedChange(self.value * factor, self.low * factor, self.high * factor)
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class CutFill:
         net: fill less cut.
     """
 
-    fill: MeasuredValue
-    cut: MeasuredValue
-    net: MeasuredValue
+    fill: EstimatedChange
+    cut: EstimatedChange
+    net: EstimatedChange
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class AreaChange:
     volumes: CutFill
     by_sign: tuple[float, float]
     detected: CutFill
-    mean: MeasuredValue
+    mean: EstimatedChange
     largest: float
     lowest: float
     undetected_share: float
@@ -149,9 +149,9 @@ def _volumes(difference: DemOfDifference, cells: Mask, dz: FloatArray) -> CutFil
         both = half_width(difference, (own | outside).astype(float))
         low = max(volume + max(sign * rest - both, -alone), 0.0)
         high = volume + max(sign * rest + both, alone)
-        sides.append(MeasuredValue(volume + max(sign * rest, 0.0), low, high))
+        sides.append(EstimatedChange(volume + max(sign * rest, 0.0), low, high))
     net = float(dz.sum()) * cell_area
-    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, cells.astype(float))))
+    return CutFill(sides[0], sides[1], EstimatedChange.within(net, half_width(difference, cells.astype(float))))
 
 
 def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray) -> CutFill:
@@ -161,9 +161,9 @@ def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray)
     for sign in (1, -1):
         own = beyond & (sign * dz > 0)
         volume = abs(float(dz[own].sum())) * cell_area
-        sides.append(MeasuredValue.within(volume, half_width(difference, own.astype(float)), least=0.0))
+        sides.append(EstimatedChange.within(volume, half_width(difference, own.astype(float)), least=0.0))
     net = sides[0].value - sides[1].value
-    return CutFill(sides[0], sides[1], MeasuredValue.within(net, half_width(difference, beyond.astype(float))))
+    return CutFill(sides[0], sides[1], EstimatedChange.within(net, half_width(difference, beyond.astype(float))))
 
 
 def _centre(difference: DemOfDifference, weights: FloatArray, cells: Mask) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.dem.volumes import AreaChange, MeasuredValue
+from pcbench.measure.dem.volumes import AreaChange, EstimatedChange
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
 from pcbench.report.change.words import epoch_text, place_mark, place_text, volume_unit
 from pcbench.report.colors import BLUE, GREEN, ORANGE, PURPLE, SERIES, VERMILION
@@ -39,7 +39,7 @@ def draw_volumes(axis: Any, document: ChangeDocument, change: ChangeRecord, *, m
     axis.legend(fontsize=8.5, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
 
 
-def _error_bar(axis: Any, row: int, value: MeasuredValue, label: str | None) -> None:
+def _error_bar(axis: Any, row: int, value: EstimatedChange, label: str | None) -> None:
     ends = [[0.0], [0.0]] if value.low != value.low else [[value.value - value.low], [value.high - value.value]]
     style = {"color": "#111111", "marker": "D", "markersize": 4, "capsize": 3, "linewidth": 1.3, "linestyle": "none"}
     axis.errorbar([value.value], [row], xerr=ends, label=label, **style)
@@ -103,7 +103,7 @@ def draw_series(axes: Sequence[Any], document: ChangeDocument) -> None:
     last.set_xlabel("epoch" if document.years is None else "date", fontsize=9)
 
 
-def _line(axis: Any, times: FloatArray, values: Sequence[MeasuredValue], color: str, name: str, place: float) -> None:
+def _line(axis: Any, times: FloatArray, values: Sequence[EstimatedChange], color: str, name: str, place: float) -> None:
     """Draw values from the first epoch on, at which they are zero; error bars side by side do not cover each other."""
     y = np.array([0.0, *(value.value for value in values)])
     low, high = (np.array([0.0, *(value[k] for value in values)]) for k in (1, 2))

@@ -19,10 +19,10 @@ from pcbench.geometry.regions import Polygon, Region, Union
 from pcbench.io.json_values import json_values
 from pcbench.measure.dem.difference import DemOfDifference, ErrorBin
 from pcbench.measure.dem.epochs import Epoch, date_of
-from pcbench.measure.dem.grid import Grid
+from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import HeightTrend
-from pcbench.measure.dem.volumes import AreaChange, CutFill, MeasuredValue
+from pcbench.measure.dem.volumes import AreaChange, CutFill, EstimatedChange
 from pcbench.report.document import provenance
 
 DOCUMENT, SCHEMA = "change.json", "pcbench.change/1"
@@ -82,7 +82,7 @@ class NormalsRecord:
     """Volumes along normals, see `pcbench.measure.dem.along_normals.NormalVolume`."""
 
     volumes: CutFill
-    mean: MeasuredValue
+    mean: EstimatedChange
     area: float
     void_area: float
     side: float
@@ -128,7 +128,7 @@ class PlaceRecord:
     """Change of a place x, y from the first epoch to each later one."""
 
     place: tuple[float, float]
-    changes: tuple[MeasuredValue, ...]
+    changes: tuple[EstimatedChange, ...]
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class ChangeDocument:
     """
 
     epochs: tuple[EpochRecord, ...]
-    grid: Grid
+    grid: HeightGrid
     settings: Mapping[str, Any]
     changes: tuple[ChangeRecord, ...]
     zone_rings: Mapping[str, tuple[Ring, ...]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pcbench.measure.dem.volumes import AreaChange, MeasuredValue
+from pcbench.measure.dem.volumes import AreaChange, EstimatedChange
 from pcbench.report.change.document import ChangeDocument, ChangeRecord
 from pcbench.report.change.words import (
     epoch_text,
@@ -90,7 +90,7 @@ def series_rows(document: ChangeDocument) -> list[list[str]]:
     return rows
 
 
-def _place_change(change: MeasuredValue) -> str:
+def _place_change(change: EstimatedChange) -> str:
     return UNKNOWN if change.value != change.value else measured_text(change, signed=True)
 
 

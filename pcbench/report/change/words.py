@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from pcbench.geometry.crs import crs_label
 from pcbench.measure.dem.along_normals import STEEP_DEG
-from pcbench.measure.dem.volumes import AreaChange, MeasuredValue
+from pcbench.measure.dem.volumes import AreaChange, EstimatedChange
 from pcbench.measure.wording import pluralize, with_unit
 from pcbench.report.change.document import ChangeDocument, ChangeRecord, EpochRecord, ErrorRecord
 from pcbench.report.words import percentage
@@ -29,7 +29,7 @@ def decimals_for(largest: float) -> int:
     return max(0, _DIGITS - 1 - math.floor(math.log10(largest)))
 
 
-def measured_text(value: MeasuredValue, *, signed: bool = False, scale: float = 1.0) -> str:
+def measured_text(value: EstimatedChange, *, signed: bool = False, scale: float = 1.0) -> str:
     """Return a value with its interval, such as "+376 [125, 627]"; without an interval, the value alone."""
     sizes = [abs(each) for each in value if math.isfinite(each)]
     places = decimals_for(scale * max(sizes, default=0.0))
@@ -106,7 +106,7 @@ def headline(document: ChangeDocument, change: ChangeRecord, epoch: EpochRecord)
     )
 
 
-def _with_unit_inside(value: MeasuredValue, unit: str, *, signed: bool = False) -> str:
+def _with_unit_inside(value: EstimatedChange, unit: str, *, signed: bool = False) -> str:
     """Return a value with its unit before its interval: "+376 m³ [125, 627]"."""
     number, bracket, interval = measured_text(value, signed=signed).partition(" [")
     return f"{number} {unit}{bracket}{interval}"
@@ -118,6 +118,8 @@ def _verdicts(document: ChangeDocument, change: ChangeRecord) -> Iterator[str]:
     until = f" until {change.epoch}" if len(document.changes) > 1 else ""
     if net.low <= 0 <= net.high:
         yield f"The net volume{until} cannot be told from zero: its 95 % interval has both signs."
+    if change.along_normals is not None:
+        yield _along_normals(document, change)
     if change.errors is None:
         return
     if not change.part_count:
@@ -137,8 +139,6 @@ def _verdicts(document: ChangeDocument, change: ChangeRecord) -> Iterator[str]:
         f" {_with_unit_inside(whole.detected.net, volume_unit(document.unit), signed=True)}"
         f" (fill {measured_text(whole.detected.fill)}, cut {measured_text(whole.detected.cut)})."
     )
-    if change.along_normals is not None:
-        yield _along_normals(document, change)
 
 
 def _along_normals(document: ChangeDocument, change: ChangeRecord) -> str:

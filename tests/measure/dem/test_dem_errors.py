@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from volume_cases import correlated_field
 
-from pcbench.measure.dem.covariance import SumWeights, fit_errors
+from pcbench.measure.dem.covariance import SumWeights
+from pcbench.measure.dem.reml import fit_errors
 
 
 def _form(weights: np.ndarray, length: float) -> float:

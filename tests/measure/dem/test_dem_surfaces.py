@@ -5,8 +5,8 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator
 
 from pcbench.errors import InputError
-from pcbench.measure.dem.grid import CellMoments, Grid, default_cell
-from pcbench.measure.dem.surface import Method, slopes_deg, surface_of
+from pcbench.measure.dem.grid import CellMoments, HeightGrid, default_cell
+from pcbench.measure.dem.surface import GridMethod, slopes_deg, surface_of
 
 
 def _points(count: int = 900) -> np.ndarray:
@@ -16,11 +16,11 @@ def _points(count: int = 900) -> np.ndarray:
     return points
 
 
-GRID = Grid.over(np.zeros(2), np.full(2, 9.999), 1.0)
+GRID = HeightGrid.over(np.zeros(2), np.full(2, 9.999), 1.0)
 
 
 def test_cells_are_numbered_from_north_west_and_aligned_with_multiples_of_their_edge() -> None:
-    grid = Grid.over(np.array([12.1, 7.3]), np.array([15.0, 8.9]), 0.5)
+    grid = HeightGrid.over(np.array([12.1, 7.3]), np.array([15.0, 8.9]), 0.5)
     assert (grid.west, grid.north, grid.shape) == (12.0, 9.0, (4, 7))
     corners = np.array([[12.0, 8.5], [12.0, 8.999], [12.5, 8.5], [12.0, 7.0], [11.9, 8.0], [15.5, 8.0], [13.0, 9.0]])
     assert grid.numbers(corners).tolist() == [0, 0, 1, 21, -1, -1, -1]
@@ -29,7 +29,7 @@ def test_cells_are_numbered_from_north_west_and_aligned_with_multiples_of_their_
 
 def test_too_many_cells_are_refused() -> None:
     with pytest.raises(InputError, match="choose larger cells"):
-        Grid.over(np.zeros(2), np.full(2, 1e6), 0.1)
+        HeightGrid.over(np.zeros(2), np.full(2, 1e6), 0.1)
 
 
 @pytest.mark.parametrize(("density", "cell"), [(4.0, 1.0), (3.9, 2.0), (400.0, 0.1), (0.04, 10.0), (0.9, 5.0)])
@@ -48,9 +48,9 @@ def test_moments_do_not_depend_on_pieces_or_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "oracle"), [(Method.MEAN, np.mean), (Method.MEDIAN, np.median), (Method.LOWEST, np.min)]
+    ("method", "oracle"), [(GridMethod.MEAN, np.mean), (GridMethod.MEDIAN, np.median), (GridMethod.LOWEST, np.min)]
 )
-def test_heights_of_cells(method: Method, oracle) -> None:
+def test_heights_of_cells(method: GridMethod, oracle) -> None:
     points = _points()
     heights = surface_of(CellMoments(GRID, 2.0).add(points), method, points).heights
     numbers = GRID.numbers(points)
@@ -60,7 +60,7 @@ def test_heights_of_cells(method: Method, oracle) -> None:
 
 def test_triangulated_heights() -> None:
     points = _points(300)
-    heights = surface_of(CellMoments(GRID, 0.0).add(points), Method.TIN, points).heights.ravel()
+    heights = surface_of(CellMoments(GRID, 0.0).add(points), GridMethod.TIN, points).heights.ravel()
     expected = LinearNDInterpolator(points[:, :2], points[:, 2])(GRID.centres())
     both = np.isfinite(heights)
     assert both.sum() > 90
@@ -80,7 +80,7 @@ def test_variances_of_means_are_those_of_repeated_points() -> None:
     for _ in range(40):
         points = rng.uniform(0, 9.999, (600, 3))
         points[:, 2] = 0.2 * rng.standard_normal(600)
-        surface = surface_of(CellMoments(GRID, 0.0).add(points), Method.MEAN)
+        surface = surface_of(CellMoments(GRID, 0.0).add(points), GridMethod.MEAN)
         means.append(surface.heights)
         stated.append(surface.variances)
     ratio = np.nanmean(np.square(means)) / np.nanmean(stated)

@@ -5,16 +5,16 @@ import pytest
 from volume_cases import CELLS, CHANGES, EXACT_M3, NOISES, Case, Noise, box, cases, cell_sums, cone, run
 
 from pcbench.measure.dem.difference import changed_parts, difference_of
-from pcbench.measure.dem.grid import Grid
-from pcbench.measure.dem.surface import Surface
+from pcbench.measure.dem.grid import HeightGrid
+from pcbench.measure.dem.surface import EpochSurface
 from pcbench.measure.dem.volumes import area_change, area_changes
 
-GRID = Grid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
+GRID = HeightGrid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
 
 
-def _surface(heights: np.ndarray, variance: float = 1e-4) -> Surface:
+def _surface(heights: np.ndarray, variance: float = 1e-4) -> EpochSurface:
     counts = np.where(np.isfinite(heights), 5, 0).astype(np.int32)
-    return Surface(heights, np.where(np.isfinite(heights), variance, np.nan), counts)
+    return EpochSurface(heights, np.where(np.isfinite(heights), variance, np.nan), counts)
 
 
 @pytest.mark.parametrize("change", CHANGES)
