@@ -211,7 +211,7 @@ def _lag_products(weights: FloatArray) -> tuple[FloatArray, FloatArray, int]:
     counts = np.bincount(numbers, minlength=_LAG_BINS)
     kept = counts > 0
     lags: FloatArray = step * np.bincount(numbers, distances, _LAG_BINS)[kept] / counts[kept]
-    sums: FloatArray = np.bincount(numbers, products.ravel().astype(np.float64), _LAG_BINS)[kept]
+    sums = np.bincount(numbers, products.ravel(), _LAG_BINS)[kept].astype(np.float64)
     return lags, sums, step
 
 

@@ -113,15 +113,19 @@ def _with_unit_inside(value: EstimatedChange, unit: str, *, signed: bool = False
 
 
 def _verdicts(document: ChangeDocument, change: ChangeRecord) -> Iterator[str]:
-    whole = change.whole
-    net = whole.volumes.net
+    net = change.whole.volumes.net
     until = f" until {change.epoch}" if len(document.changes) > 1 else ""
     if net.low <= 0 <= net.high:
         yield f"The net volume{until} cannot be told from zero: its 95 % interval has both signs."
+    if change.errors is not None:
+        yield from _detections(document, change, change.errors, until)
     if change.along_normals is not None:
         yield _along_normals(document, change)
-    if change.errors is None:
-        return
+
+
+def _detections(document: ChangeDocument, change: ChangeRecord, errors: ErrorRecord, until: str) -> Iterator[str]:
+    """Yield which parts changed, and how much of the area changed beyond the level of detection."""
+    whole = change.whole
     if not change.part_count:
         yield f"No part of the area changed{until} by more than its errors explain."
     else:
@@ -135,7 +139,7 @@ def _verdicts(document: ChangeDocument, change: ChangeRecord) -> Iterator[str]:
         )
     yield (
         f"{percentage(whole.undetected_share)} of the area changed by less than the level of detection, whose median is"
-        f" {length_text(change.errors.median_level, document.unit)}. The cells beyond it alone have net"
+        f" {length_text(errors.median_level, document.unit)}. The cells beyond it alone have net"
         f" {_with_unit_inside(whole.detected.net, volume_unit(document.unit), signed=True)}"
         f" (fill {measured_text(whole.detected.fill)}, cut {measured_text(whole.detected.cut)})."
     )
