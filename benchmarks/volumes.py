@@ -1,8 +1,8 @@
-"""Coverage of 95 % intervals of volumes: python benchmarks/volumes.py [--runs 20] [--terrains plane hills]
+"""Coverage of 95 % intervals of volumes, and net volumes beside other tools: `python benchmarks/volumes.py`.
 
 Each run makes two epochs of points with new errors and one of five changes of exact volume (tests/volume_cases.py). A
 cell has the share of runs whose interval holds the truth and, for net volumes, half the median width of the intervals
-over 1.96 times the root mean square of the errors.
+over 1.96 times the root mean square of the errors. With `--runs 0` only the other tools run, see volumes_peers.py.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 from measure import limit_threads, setting
+from volumes_peers import cloudcompare_version, print_peers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from data_folder import data_root
 from volume_cases import CHANGES, cases, run
 
 KINDS = ("net", "zone", "part", "fill", "cut")
@@ -26,13 +28,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--terrains", nargs="*", default=TERRAINS)
+    parser.add_argument("--xdem-python", type=Path, help="a Python that has xDEM; xDEM is not measured without")
     options = parser.parse_args()
     limit_threads(1)
     print(setting())
+    if options.runs:
+        _print_coverage(options.runs, options.terrains)
+    data = data_root()
+    if data is None:
+        print("no pairs: set PCBENCH_DATA to the folder that holds the data sets change and autzen")
+        return
+    print(f"CloudCompare {cloudcompare_version()}")
+    print_peers(data, options.xdem_python)
+
+
+def _print_coverage(count: int, terrains: list[str]) -> None:
     print(f"{'terrain, errors':28}" + "".join(f"{kind:>14}" for kind in KINDS))
-    for number, (name, case) in enumerate(cases(options.terrains)):
+    for number, (name, case) in enumerate(cases(terrains)):
         line = f"{name:28}"
-        runs = [run(case, CHANGES[k % len(CHANGES)], 1000 * number + k) for k in range(options.runs)]
+        runs = [run(case, CHANGES[k % len(CHANGES)], 1000 * number + k) for k in range(count)]
         for kind in KINDS:
             pairs = [(each.measured[kind], each.true[kind]) for each in runs if kind in each.measured]
             held = np.mean([m.low <= true <= m.high for m, true in pairs])

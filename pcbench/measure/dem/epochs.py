@@ -55,9 +55,11 @@ class Coverage:
         if not self._side:
             self._side = 2.0**-20
         side = self._least_side(_MAX_COVERAGE_CELLS)
-        merged = [self._coarser(side), np.floor(points[:, :2] / side).astype(np.int64)]
-        self._side = side
-        self._cells = np.unique(np.concatenate(merged), axis=0)
+        first, last = (np.floor(corner[:2] / side).astype(np.int64) for corner in (self.low, self.high))
+        is_covered = np.zeros(last - first + 1, dtype=bool)
+        for cells in (self._coarser(side), np.floor(points[:, :2] / side).astype(np.int64)):
+            is_covered[tuple((cells - first).T)] = True
+        self._side, self._cells = side, np.argwhere(is_covered) + first
 
     @property
     def area(self) -> float:
@@ -131,10 +133,9 @@ def open_epoch(source: Source, name: str, day: date | None) -> Epoch:
         single_unit(cloud.crs, mixed.append)
         if mixed:
             raise InputError(f"{source.path}: expected one unit, because volumes have one: {mixed[0]}")
-    area = coverage.area
-    if not area > 0:
+    if not (coverage.low < coverage.high)[:2].all():
         raise InputError(f"{source.path}: expected points that cover an area, got {coverage.count:,} on a line")
-    return Epoch(name, source, day, cloud, coverage.count, coverage.low, coverage.high, area, tuple(warnings))
+    return Epoch(name, source, day, cloud, coverage.count, coverage.low, coverage.high, coverage.area, tuple(warnings))
 
 
 @dataclass(frozen=True)
