@@ -13,9 +13,9 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape, unescape
 from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
-from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,4 +251,4 @@ def _raster_tags(raster: Raster) -> Tags:
 
 def _escape(text: str) -> str:
     """Return a text for GDAL's metadata, whose XML is escaped twice."""
-    return escape(escape(text))
+    return escape(escape(text, quote=False), quote=False)

@@ -71,7 +71,8 @@ def test_the_next_report_replaces_the_map_files(files, run):
         assert run("compare", "b.ply", candidate, "--tiles", "2k", "--out", "report", "-q")[0] == 0
     (files / "report/maps/notes.txt").write_text("mine")
     assert run("compare", "b.ply", "a.ply", "--out", "report", "-q")[0] == 0
-    assert [path.name for path in Path("report/maps").iterdir()] == ["notes.txt"]
+    rasters = ["a_completeness.tif", "a_distance.tif"]
+    assert sorted(path.name for path in Path("report/maps").iterdir()) == [*rasters, "notes.txt"]
 
 
 def test_pictures_show_all_points_from_above(files, run):

@@ -23,7 +23,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.measure.perceptual import Perceptual
 from pcbench.report import to_json
 from pcbench.report.article import Bullets, Figure, markdown
-from pcbench.report.html import PAGE, Origin, article_page
+from pcbench.report.html import PAGE, InputRow, Origin, article_page
 from pcbench.studies.bench import page as bench_page
 from pcbench.studies.bench.results import ThresholdScore
 from pcbench.studies.bend import page as bend_page
@@ -225,7 +225,7 @@ KIND = StudyKind("bend", "experiment.json", "pcbench.bend/1", BendStudy, "bend.m
 
 def test_new_results_replace_the_pages_or_remove_them(tmp_path, monkeypatch):
     article = bend_page.article(bend_study())
-    inputs = [("scene", "photos", "c" * 64)]
+    inputs = [InputRow("scene", "photos", "c" * 64)]
     assert write_report(tmp_path, KIND, lambda: article, PROVENANCE, inputs) is None
     assert "c" * 64 in (tmp_path / PAGE).read_text(encoding="utf-8")
     assert (tmp_path / "bend.md").read_text(encoding="utf-8") == markdown(article)
