@@ -35,6 +35,8 @@ def test_the_answer_comes_first(site, run):
 def test_errors_are_one_line(site, run):
     pair = ("site_2020.xyz", "site_2022.xyz")
     np.savetxt("far.xyz", survey(0, 9, 200) + [10_000, 0, 0])
+    np.savetxt("outlier.xyz", np.vstack([survey(0, 9, 200), [[1e9, 1e9, 0]]]))
+    np.savetxt("line.xyz", survey(0, 9, 200) * [1, 0, 1] + [0, 5_200_007, 0])
     degrees = np.random.default_rng(0).random((200, 3)) + [11.5, 48.1, 0]
     write_cloud("degrees.ply", Cloud(degrees, crs="EPSG:4326", unit="degree"))
     write_cloud("utm33.ply", Cloud(survey(0, 9, 200), crs="EPSG:32633", unit="m"))
@@ -57,6 +59,10 @@ def test_errors_are_one_line(site, run):
         (*pair, "--profile", "1,2,3"),
         (*pair, "--profile", "0,0,1,1"),
         (*pair, "--point", "1"),
+        (*pair, "--point", "0,0"),
+        (*pair, "--cell", "50"),
+        ("site_2020.xyz", "outlier.xyz"),
+        ("site_2020.xyz", "line.xyz"),
         (*pair, "--zones", "outside.geojson"),
         (*pair, "--zones", "all.geojson"),
         (*pair, "--stable", "outside.geojson"),
