@@ -233,6 +233,8 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
     lines = [line for survey in surveys for line in survey.warnings]
     for change in changes:
         difference, name = change.difference, change.epoch.name
+        if not difference.dz[difference.measured].any():
+            lines.append(f"{name}: all heights are those of {surveys[0].name}: check that it is another survey")
         if difference.model is None:
             lines.append(
                 f"{name}: too little terrain without change to estimate the errors, so no value has an interval: choose"

@@ -32,6 +32,13 @@ def test_the_answer_comes_first(site, run):
     assert [zone["name"] for zone in values["changes"][0]["zones"]] == ["heap", "hole"]
 
 
+def test_one_survey_given_twice_gets_a_warning(site, run):
+    code, out, err = run("change", "site_2020.xyz", "site_2020.xyz", "--cell", "2")
+    assert code == 0, err
+    assert "net +0 cubic units" in out
+    assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in err
+
+
 def test_errors_are_one_line(site, run):
     pair = ("site_2020.xyz", "site_2022.xyz")
     np.savetxt("far.xyz", survey(0, 9, 200) + [10_000, 0, 0])

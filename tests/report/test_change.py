@@ -227,6 +227,8 @@ def test_numbers_have_three_significant_digits():
     assert measured_text(EstimatedChange(375.98, 125.36, 626.6), signed=True) == "+376 [125, 627]"
     assert measured_text(EstimatedChange(0.0266, 0.0089, 0.0444)) == "0.0266 [0.0089, 0.0444]"
     assert measured_text(EstimatedChange(1848.2, np.nan, np.nan)) == "1,848"
+    assert measured_text(EstimatedChange(0.0, -6.12e-7, 6.12e-7), signed=True) == "+0 [-6.12e-07, 6.12e-07]"
+    assert measured_text(EstimatedChange(-0.2, -150, 150), signed=True) == "+0 [-150, 150]"
     assert number_text(-0.543, signed=True) == "-0.543"
 
 
