@@ -36,7 +36,7 @@ def test_one_survey_given_twice_gets_a_warning(site, run):
     code, out, err = run("change", "site_2020.xyz", "site_2020.xyz", "--cell", "2")
     assert code == 0, err
     assert "net +0 cubic units" in out
-    assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in err
+    assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in out
 
 
 def test_errors_are_one_line(site, run):

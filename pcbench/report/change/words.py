@@ -198,7 +198,10 @@ def uncertainty_sentence(document: ChangeDocument) -> str:
     """Return what the intervals state, in one sentence."""
     errors = document.changes[-1].errors
     if errors is None:
-        return "There is too little terrain without change to estimate the errors, so the values have no intervals."
+        return (
+            "There is too little terrain without change to estimate the errors, so the values have no intervals, and"
+            " fill and cut are sums by the sign of each cell, which errors enlarge."
+        )
     source = "named stable terrain" if errors.offset is not None else "terrain without visible change"
     return (
         "Intervals of 95 % follow from white and correlated errors of several ranges, which the"
