@@ -59,8 +59,8 @@ class AreaChange:
         area: area with a difference, in squared units.
         void_area: area without points in an epoch, which no volume includes.
         filled_area: part of `area` of which the differences were filled from the neighbours.
-        volumes: volumes of all cells: each changed part by the sign of its sum, the rest by its sum. Without a model of the
-            errors, fill and cut are those of `by_sign`.
+        volumes: volumes of all cells: each changed part by the sign of its sum, the rest by its sum. Without a model of
+            the errors, fill and cut are those of `by_sign`.
         by_sign: fill and cut as plain sums by sign, which errors enlarge on both sides.
         detected: volumes of the cells beyond the level of detection alone.
         mean: mean change of height.
