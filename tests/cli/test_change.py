@@ -46,6 +46,7 @@ def test_errors_are_one_line(site, run):
     np.savetxt("line.xyz", survey(0, 9, 200) * [1, 0, 1] + [0, 5_200_007, 0])
     degrees = np.random.default_rng(0).random((200, 3)) + [11.5, 48.1, 0]
     write_cloud("degrees.ply", Cloud(degrees, crs="EPSG:4326", unit="degree"))
+    write_cloud("geocentric.ply", Cloud(survey(0, 9, 200), crs="EPSG:4978", unit="m"))
     write_cloud("utm33.ply", Cloud(survey(0, 9, 200), crs="EPSG:32633", unit="m"))
     write_cloud("utm32.ply", Cloud(survey(0, 8, 200), crs="EPSG:32632", unit="m"))
     write_zones(site / "outside.geojson", {"away": (100, 100, 110, 110)})
@@ -58,6 +59,7 @@ def test_errors_are_one_line(site, run):
         ("site_2020.xyz", "far.xyz"),
         ("utm32.ply", "utm33.ply"),
         ("degrees.ply", "degrees.ply"),
+        ("geocentric.ply", "geocentric.ply"),
         (*pair, "--surface", "highest"),
         (*pair, "--cell", "0.0000001"),
         (*pair, "--cell", "0.01", "--memory", "500MB"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.crs import check_lengths, crs_name, same_crs, single_unit
+from pcbench.geometry.crs import check_heights, check_lengths, crs_name, same_crs, single_unit
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
@@ -112,9 +112,10 @@ def open_epoch(source: Source, name: str, day: date | None) -> Epoch:
     """Read the files of a survey once for its extent, its number of points and its warnings.
 
     Raises:
-        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit.
+        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit or no heights.
     """
     cloud = source.pieces()
+    check_heights(cloud.crs, str(source.path))
     warnings = list(cloud.warnings)
     coverage, notes = Coverage(), list[tuple[Piece, PieceNotes]]()
     for piece in cloud.pieces:
