@@ -35,6 +35,7 @@ from pcbench.measure.dem.volumes import WHOLE_AREA, area_changes
 from pcbench.progress import ProgressPlan
 from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.folder import write_change
+from pcbench.report.change.maps import TREND_NAME
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder
 from pcbench.report.names import names_of
@@ -61,7 +62,7 @@ def open_epochs(
     filters = parse_filters(settings.classes, settings.returns)
     sources = [Source.open(path, filters) for path in paths]
     days = [date_of(path.name) for path in paths] if dates is None else list(dates)
-    return list(zip(sources, names_of(paths), days, strict=True))
+    return list(zip(sources, names_of(paths, reserved=TREND_NAME), days, strict=True))
 
 
 def measure_change(

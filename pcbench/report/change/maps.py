@@ -27,7 +27,10 @@ from pcbench.measure.dem.volumes import AreaChange
 from pcbench.report.change.words import peak
 
 MAPS = "maps"
-GEOPACKAGE, TREND = "change.gpkg", "trend.tif"
+GEOPACKAGE = "change.gpkg"
+TREND_NAME = "trend"
+"""Name of the map of the trend, which no epoch may have."""
+TREND = f"{TREND_NAME}.tif"
 
 
 def difference_file(epoch: str) -> str:
