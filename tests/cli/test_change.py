@@ -39,6 +39,24 @@ def test_one_survey_given_twice_gets_a_warning(site, run):
     assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in out
 
 
+def test_dates_may_be_years_as_in_names(site, run):
+    trio = ("site_2020.xyz", "site_2022.xyz", "site_2020.xyz")
+    code, out, err = run("change", *trio, "--cell", "2", "--dates", "2020,2021-06,2022-01-01")
+    assert code == 0, err
+    assert "per year" in out
+    code, out, err = run("change", *trio, "--cell", "2", "--dates", "2020,2020,2022")
+    assert code == 0, err
+    assert "two epochs have one date, so that the trend is per epoch" in out
+
+
+def test_too_little_stable_terrain_gets_a_warning(site, run):
+    write_zones(site / "stable.geojson", {"few": (1, 1, 3, 3)})
+    code, out, err = run("change", "site_2020.xyz", "site_2022.xyz", "--stable", "stable.geojson")
+    assert code == 0, err
+    assert "too little named stable terrain" in out
+    assert "the mean difference of the named stable terrain" in out
+
+
 def test_errors_are_one_line(site, run):
     pair = ("site_2020.xyz", "site_2022.xyz")
     np.savetxt("far.xyz", survey(0, 9, 200) + [10_000, 0, 0])
