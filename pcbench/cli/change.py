@@ -117,7 +117,10 @@ def change(
 
 
 def _date(text: str) -> date:
-    try:
-        return date.fromisoformat(text.strip())
-    except ValueError:
-        raise InputError(f"expected --dates as days such as 2019-05-17,2023-06-02, got {text!r}") from None
+    """Return a date; the first day of a year or month that is given alone, as in names of files."""
+    from pcbench.measure.dem.epochs import date_of
+
+    day = date_of(text.strip())
+    if day is None or not set(text) <= set("0123456789-_. "):
+        raise InputError(f"expected --dates as days, months or years such as 2019-05-17,2023, got {text!r}")
+    return day

@@ -32,9 +32,11 @@ from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import place_changes, trend_of, years
 from pcbench.measure.dem.settings import ChangeSettings
 from pcbench.measure.dem.volumes import WHOLE_AREA, area_changes
+from pcbench.measure.wording import with_unit
 from pcbench.progress import ProgressPlan
 from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.folder import write_change
+from pcbench.report.change.maps import TREND_NAME
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder
 from pcbench.report.names import names_of
@@ -61,7 +63,7 @@ def open_epochs(
     filters = parse_filters(settings.classes, settings.returns)
     sources = [Source.open(path, filters) for path in paths]
     days = [date_of(path.name) for path in paths] if dates is None else list(dates)
-    return list(zip(sources, names_of(paths), days, strict=True))
+    return list(zip(sources, names_of(paths, reserved=TREND_NAME), days, strict=True))
 
 
 def measure_change(
@@ -233,13 +235,24 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
     lines = [line for survey in surveys for line in survey.warnings]
     for change in changes:
         difference, name = change.difference, change.epoch.name
+        if not difference.dz[difference.measured].any():
+            lines.append(f"{name}: all heights are those of {surveys[0].name}: check that it is another survey")
         if difference.model is None:
+            terrain, remedy = "terrain without change", "name stable terrain (--stable)"
+            if settings.stable is not None:
+                terrain, remedy = "named stable terrain", "name more of it"
             lines.append(
-                f"{name}: too little terrain without change to estimate the errors, so no value has an interval: choose"
-                " smaller cells (--cell), or name stable terrain (--stable)"
+                f"{name}: too little {terrain} to estimate the errors, so no value has an interval: choose smaller"
+                f" cells (--cell), or {remedy}"
             )
+            if difference.offset is not None:
+                offset = with_unit(f"{difference.offset:.3g}", surveys[0].cloud.unit)
+                lines.append(f"{name}: the mean difference of the named stable terrain, {offset}, was subtracted")
             continue
         lines += _difference_warnings(difference, name, is_named=settings.stable is not None)
+    days = [survey.date for survey in surveys]
+    if len(surveys) > 2 and None not in days and len({*days}) < len(days):
+        lines.append("two epochs have one date, so that the trend is per epoch and not per year: check --dates")
     if settings.surface.value == "lowest":
         lines.append("the lowest of more points is lower: compare epochs of different density by mean or tin")
     return lines

@@ -127,6 +127,20 @@ def check_lengths(cloud: Located, name: str) -> None:
         )
 
 
+def check_heights(crs: str | None, name: str) -> None:
+    """Check that z of a CRS is a height, for measures in which only z counts as such.
+
+    Raises:
+        InputError: the coordinates are geocentric, so that z is along the axis of the Earth.
+    """
+    system = None if crs is None else parse_crs(crs)
+    if system is not None and system.is_geocentric:
+        raise InputError(
+            f"{name}: expected heights as z, got geocentric coordinates ({crs_name(str(crs))}): project the cloud with"
+            " pcbench convert FILE OUT --to-crs EPSG:CODE"
+        )
+
+
 def projection_command(crs: str | None, longitude: float, latitude: float) -> str:
     """Return a command that projects a cloud in degrees at a place."""
     source = "" if crs else " --crs EPSG:4326"

@@ -17,15 +17,19 @@ _MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suff
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
-def check_name(name: Any) -> str:
-    """Return the name of a candidate if it can be part of file names.
+def check_name(name: Any, reserved: str = "reference") -> str:
+    """Return the name of a candidate if it can be part of file names, of which one name is taken.
 
     Raises:
         InputError: it is empty, reserved, too long, or has a path separator or unprintable characters.
     """
-    reserved = ("", ".", "..", "reference")
-    if not isinstance(name, str) or name in reserved or _UNPRINTABLE.search(name) or any(c in name for c in "/\\"):
-        raise InputError(f"expected a candidate's name that is valid in a file name and not 'reference', got {name!r}")
+    if (
+        not isinstance(name, str)
+        or name in ("", ".", "..", reserved)
+        or _UNPRINTABLE.search(name)
+        or any(c in name for c in "/\\")
+    ):
+        raise InputError(f"expected a candidate's name that is valid in a file name and not {reserved!r}, got {name!r}")
     if (size := len(os.fsencode(name))) > _MAX_NAME_BYTES:
         raise InputError(
             f"{name[:20]}...: expected a candidate's name of at most {_MAX_NAME_BYTES} bytes, because the"
@@ -34,8 +38,8 @@ def check_name(name: Any) -> str:
     return name
 
 
-def names_of(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each candidate: its file's stem.
+def names_of(paths: Sequence[Path], reserved: str = "reference") -> list[str]:
+    """Return a name for each candidate: its file's stem, with a number if it is a reserved name.
 
     Equal stems get the nearest folder that distinguishes them as a prefix (`a/x.ply` and `b/x.ply` become `a_x` and
     `b_x`), or a number if there is none.
@@ -45,15 +49,15 @@ def names_of(paths: Sequence[Path]) -> list[str]:
     """
     result: list[str] = []
     stems = [_with_folder(path, paths) for path in paths]
-    taken = {*stems, "reference"}
+    taken = {*stems, reserved}
     for stem in stems:
         name, number = stem or "candidate", 2
-        if name in result or name == "reference":
+        if name in result or name == reserved:
             while f"{stem}_{number}" in taken:
                 number += 1
             name = f"{stem}_{number}"
             taken.add(name)
-        result.append(check_name(name))
+        result.append(check_name(name, reserved))
     return result
 
 

@@ -32,11 +32,39 @@ def test_the_answer_comes_first(site, run):
     assert [zone["name"] for zone in values["changes"][0]["zones"]] == ["heap", "hole"]
 
 
+def test_one_survey_given_twice_gets_a_warning(site, run):
+    code, out, err = run("change", "site_2020.xyz", "site_2020.xyz", "--cell", "2")
+    assert code == 0, err
+    assert "net +0 cubic units" in out
+    assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in out
+
+
+def test_dates_may_be_years_as_in_names(site, run):
+    trio = ("site_2020.xyz", "site_2022.xyz", "site_2020.xyz")
+    code, out, err = run("change", *trio, "--cell", "2", "--dates", "2020,2021-06,2022-01-01")
+    assert code == 0, err
+    assert "per year" in out
+    code, out, err = run("change", *trio, "--cell", "2", "--dates", "2020,2020,2022")
+    assert code == 0, err
+    assert "two epochs have one date, so that the trend is per epoch" in out
+
+
+def test_too_little_stable_terrain_gets_a_warning(site, run):
+    write_zones(site / "stable.geojson", {"few": (1, 1, 3, 3)})
+    code, out, err = run("change", "site_2020.xyz", "site_2022.xyz", "--stable", "stable.geojson")
+    assert code == 0, err
+    assert "too little named stable terrain" in out
+    assert "the mean difference of the named stable terrain" in out
+
+
 def test_errors_are_one_line(site, run):
     pair = ("site_2020.xyz", "site_2022.xyz")
     np.savetxt("far.xyz", survey(0, 9, 200) + [10_000, 0, 0])
+    np.savetxt("outlier.xyz", np.vstack([survey(0, 9, 200), [[1e9, 1e9, 0]]]))
+    np.savetxt("line.xyz", survey(0, 9, 200) * [1, 0, 1] + [0, 5_200_007, 0])
     degrees = np.random.default_rng(0).random((200, 3)) + [11.5, 48.1, 0]
     write_cloud("degrees.ply", Cloud(degrees, crs="EPSG:4326", unit="degree"))
+    write_cloud("geocentric.ply", Cloud(survey(0, 9, 200), crs="EPSG:4978", unit="m"))
     write_cloud("utm33.ply", Cloud(survey(0, 9, 200), crs="EPSG:32633", unit="m"))
     write_cloud("utm32.ply", Cloud(survey(0, 8, 200), crs="EPSG:32632", unit="m"))
     write_zones(site / "outside.geojson", {"away": (100, 100, 110, 110)})
@@ -49,6 +77,7 @@ def test_errors_are_one_line(site, run):
         ("site_2020.xyz", "far.xyz"),
         ("utm32.ply", "utm33.ply"),
         ("degrees.ply", "degrees.ply"),
+        ("geocentric.ply", "geocentric.ply"),
         (*pair, "--surface", "highest"),
         (*pair, "--cell", "0.0000001"),
         (*pair, "--cell", "0.01", "--memory", "500MB"),
@@ -57,6 +86,10 @@ def test_errors_are_one_line(site, run):
         (*pair, "--profile", "1,2,3"),
         (*pair, "--profile", "0,0,1,1"),
         (*pair, "--point", "1"),
+        (*pair, "--point", "0,0"),
+        (*pair, "--cell", "50"),
+        ("site_2020.xyz", "outlier.xyz"),
+        ("site_2020.xyz", "line.xyz"),
         (*pair, "--zones", "outside.geojson"),
         (*pair, "--zones", "all.geojson"),
         (*pair, "--stable", "outside.geojson"),

@@ -21,6 +21,7 @@ from pcbench.measure.dem.settings import ChangeSettings
 from pcbench.measure.dem.volumes import EstimatedChange
 from pcbench.report.article import markdown
 from pcbench.report.change.article import article
+from pcbench.report.change.charts import draw_profile, draw_series, draw_volumes
 from pcbench.report.change.document import ChangeDocument, ErrorRecord, NormalsRecord, RangedError, date_in_name
 from pcbench.report.change.layers import change_range, hillshade, read_document, read_layers
 from pcbench.report.change.pictures import pictures
@@ -35,6 +36,7 @@ from pcbench.report.change.words import (
     uncertainty_sentence,
 )
 from pcbench.report.figures import Figures
+from pcbench.report.plot.panels import new_figure
 
 YEARS = (2019, 2021, 2023)
 
@@ -197,6 +199,29 @@ def test_pictures_and_sheets_are_drawn(folder, tmp_path):
     assert b"/Creator (pcbench)" in content
 
 
+def test_an_epoch_keeps_its_map_whatever_its_name(tmp_path):
+    paths = [tmp_path / "trend.xyz", tmp_path / "reference.xyz"]
+    for path in paths:
+        path.write_text("0 0 0\n1 1 1\n")
+    assert [name for _, name, _ in open_epochs(paths, ChangeSettings())] == ["trend_2", "reference"]
+
+
+def test_names_are_no_formulas(folder, tmp_path):
+    """Text between dollars would be set as mathematics, and stop the drawing if it is no formula."""
+    import_or_skip("matplotlib.figure")
+    document = read_document(folder)
+    last = document.changes[-1]
+    zones = tuple(replace(zone, name="$\\foo{$") for zone in last.zones)
+    epochs = tuple(replace(epoch, name="$_$") for epoch in document.epochs)
+    named = replace(document, epochs=epochs, changes=(*document.changes[:-1], replace(last, zones=zones)))
+    figure = new_figure(6, 6)
+    axes = figure.subplots(4, 1)
+    draw_volumes(axes[0], named, named.changes[-1], most=5)
+    draw_profile(axes[1:3], named, 1)
+    draw_series(axes[3:], replace(named, years=None, places=()))
+    figure.savefig(tmp_path / "charts.png")
+
+
 def test_cells_below_the_level_of_detection_are_grey(folder):
     layers = read_layers(folder, "site_2023")
     image = change_image(layers, change_range(layers, None), "#ffffff")
@@ -227,6 +252,8 @@ def test_numbers_have_three_significant_digits():
     assert measured_text(EstimatedChange(375.98, 125.36, 626.6), signed=True) == "+376 [125, 627]"
     assert measured_text(EstimatedChange(0.0266, 0.0089, 0.0444)) == "0.0266 [0.0089, 0.0444]"
     assert measured_text(EstimatedChange(1848.2, np.nan, np.nan)) == "1,848"
+    assert measured_text(EstimatedChange(0.0, -6.12e-7, 6.12e-7), signed=True) == "+0 [-6.12e-07, 6.12e-07]"
+    assert measured_text(EstimatedChange(-0.2, -150, 150), signed=True) == "+0 [-150, 150]"
     assert number_text(-0.543, signed=True) == "-0.543"
 
 

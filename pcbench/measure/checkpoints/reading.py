@@ -10,7 +10,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import axis_units, check_lengths, is_in_degrees
+from pcbench.geometry.crs import axis_units, check_heights, check_lengths, is_in_degrees
 from pcbench.geometry.transform import Similarity
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.source import Source
@@ -61,13 +61,14 @@ def read_around(
         skip_bad: whether damaged and missing files are left out.
 
     Raises:
-        InputError: the cloud cannot be read, or its coordinates are degrees or in mixed units.
+        InputError: the cloud cannot be read, or its coordinates are degrees, geocentric or in mixed units.
     """
     if source.is_mesh_only:
         raise InputError(
             f"{source.path}: expected a cloud, got a mesh: sample it with pcbench convert {source.path} OUT --sample N"
         )
     disk = source.pieces(skip_bad=skip_bad)
+    check_heights(disk.crs, str(source.path))
     _check_units(disk.crs, disk.unit, str(source.path))
     neighbors, every = tuple(PlanNeighbors(positions) for _ in poses), max(1, disk.count // _SAMPLE_POINTS)
     sample, notes, ground, others = [], [], 0, 0
@@ -101,5 +102,5 @@ def _check_units(crs: str | None, unit: str | None, name: str) -> None:
     if unit is None and units is not None and units.are_mixed:
         raise InputError(
             f"{name}: expected one unit of x, y and z, got {units.horizontal} and {units.height}: convert the cloud"
-            f" with pcbench convert {name} OUT --unit {units.horizontal}, and the heights of the check points likewise"
+            f" with pcbench convert {name} OUT --to-unit {units.horizontal}, and the heights of the check points likewise"
         )

@@ -64,7 +64,7 @@ class DemOfDifference:
         stable: (H, W) cells without change, from which the errors were estimated.
         offset: mean difference of the named stable terrain, which was subtracted; None: none was named.
         model: errors of the cells; None: the stable terrain is too small.
-        parts: (H, W) number of the changed part of each cell, from 1; 0 outside.
+        parts: (H, W) number of the changed part of each cell, from 1; 0 outside, and everywhere without a model.
         by_slope: spread of stable cells by slope.
         by_count: spread of stable cells by the number of points in the sparser epoch.
         datum_sigma: standard deviation of the offset between the epochs.
@@ -181,6 +181,8 @@ def difference_of(
         unchanged, stable = stable, _without_outliers(dz, scaled, allowed & (parts == 0))
         if np.array_equal(unchanged, stable):
             break
+    if model is None:  # without errors, nothing tells a changed part from them
+        parts = np.zeros_like(parts)
     return DemOfDifference(
         grid,
         before,

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.crs import check_lengths, crs_name, same_crs, single_unit
+from pcbench.geometry.crs import check_heights, check_lengths, crs_name, same_crs, single_unit
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
@@ -114,9 +114,10 @@ def open_epoch(source: Source, name: str, day: date | None) -> Epoch:
     """Read the files of a survey once for its extent, its number of points and its warnings.
 
     Raises:
-        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit.
+        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit or no heights.
     """
     cloud = source.pieces()
+    check_heights(cloud.crs, str(source.path))
     warnings = list(cloud.warnings)
     coverage, notes = Coverage(), list[tuple[Piece, PieceNotes]]()
     for piece in cloud.pieces:
@@ -189,15 +190,27 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Hei
         memory: bytes that may be used.
 
     Raises:
-        InputError: the cells do not fit into the memory.
+        InputError: the cells do not fit into the memory, or a cell is larger than the area, so that its volume would be
+            that of an area without points.
     """
     low = np.maximum(epochs[0].low, np.minimum.reduce([epoch.low for epoch in epochs[1:]]))
     high = np.minimum(epochs[0].high, np.maximum.reduce([epoch.high for epoch in epochs[1:]]))
-    max_cells = max(int((memory - _BASE_BYTES) / BYTES_PER_CELL), 1)
-    width, height = (high - low)[:2]
+    max_cells = int((memory - _BASE_BYTES) / BYTES_PER_CELL)
+    if max_cells < 1:
+        raise InputError(f"expected --memory of more than {_BASE_BYTES >> 20} MiB, got {memory / (1 << 20):.3g} MiB")
+    width, height = (high - low)[:2].tolist()
+    sparsest = min(epochs, key=lambda epoch: epoch.density)
+    given = cell
     if cell is None:
-        density = min(epoch.density for epoch in epochs)
-        cell = default_cell(float(width * height), density, max_cells)
+        cell = default_cell(width * height, sparsest.density, max_cells)
+    if cell > min(width, height):
+        reason = "choose smaller cells (--cell)"
+        if given is None:
+            reason = (
+                f"{sparsest.source.path} has {sparsest.count:,} points in an area of {sparsest.area:.3g}: state"
+                " --cell, or remove points that lie far from all others"
+            )
+        raise InputError(f"expected cells within the shared area of {width:.4g} x {height:.4g}, got {cell:g}: {reason}")
     grid = HeightGrid.over(low, high, cell)
     if grid.size > max_cells * 1.1:
         needed = (_BASE_BYTES + grid.size * BYTES_PER_CELL) / (1 << 20)

@@ -66,6 +66,11 @@ class HeightGrid:
         """Area of a cell, in squared units of x and y."""
         return self.cell**2
 
+    def extent_text(self) -> str:
+        """Return the extent in words, such as "x 0 to 60 and y 0 to 40"."""
+        east, south = self.west + self.shape[1] * self.cell, self.north - self.shape[0] * self.cell
+        return f"x {self.west:.10g} to {east:.10g} and y {south:.10g} to {self.north:.10g}"
+
     def numbers(self, points: FloatArray) -> IntArray:
         """Return the number of the cell (N,) of points (N, 2 or 3), row by row; -1 outside of the grid."""
         columns = np.floor((points[:, 0] - self.west) / self.cell)

@@ -50,10 +50,9 @@ def profile_along(
     numbers = grid.numbers(start + shares[:, None] * (end - start))
     inside = numbers >= 0
     if not inside.any():
-        west, north, (rows, columns) = grid.west, grid.north, grid.shape
         raise InputError(
-            f"expected --profile in the area of the epochs, x {west:g} to {west + columns * grid.cell:g} and y"
-            f" {north - rows * grid.cell:g} to {north:g}, got {','.join(f'{value:g}' for value in line)}"
+            f"expected --profile in the area of the epochs, {grid.extent_text()}, got"
+            f" {','.join(f'{value:.10g}' for value in line)}"
         )
 
     def sampled(values: FloatArray) -> FloatArray:

@@ -45,8 +45,6 @@ class EpochChange:
 
     def parts(self, names: Sequence[str]) -> tuple[AreaChange, ...]:
         """Return the changed parts, the largest first; none without a model of the errors, which tells them apart."""
-        if self.difference.model is None:
-            return ()
         return self.areas[1 + len(names) :]
 
 

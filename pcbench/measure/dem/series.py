@@ -8,6 +8,7 @@ from datetime import date
 
 import numpy as np
 
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.difference import LEVEL_Z, DemOfDifference
 from pcbench.measure.dem.grid import HeightGrid
@@ -22,7 +23,7 @@ class PlaceChange:
 
     Attributes:
         place: x and y.
-        changes: change of its cell for each later epoch; NaN in voids and outside of the area.
+        changes: change of its cell for each later epoch; NaN in voids.
     """
 
     place: tuple[float, float]
@@ -59,15 +60,21 @@ def years(dates: Sequence[date | None]) -> FloatArray | None:
 def place_changes(
     places: Sequence[tuple[float, float]], grid: HeightGrid, differences: Sequence[DemOfDifference]
 ) -> list[PlaceChange]:
-    """Return the change of places in each difference to the first epoch."""
+    """Return the change of places in each difference to the first epoch.
+
+    Raises:
+        InputError: a place is outside of the area that the epochs share.
+    """
     result = []
     for place in places:
         number = int(grid.numbers(np.array([place]))[0])
+        if number < 0:
+            raise InputError(
+                f"expected --point in the area of the epochs, {grid.extent_text()}, got"
+                f" {','.join(f'{value:.10g}' for value in place)}"
+            )
         changes = []
         for difference in differences:
-            if number < 0:
-                changes.append(EstimatedChange(np.nan, np.nan, np.nan))
-                continue
             cell = divmod(number, grid.shape[1])
             value, sigma = float(difference.dz[cell]), float(difference.sigma[cell])
             changes.append(EstimatedChange.within(value, LEVEL_Z * sigma))
@@ -113,7 +120,7 @@ def trend_of(differences: Sequence[DemOfDifference], times: FloatArray | None) -
         for time, height, weight in zip(at_epochs, heights, weights, strict=True):
             misfit += weight * np.nan_to_num(height - level - rate * time) ** 2
         scale = np.maximum(misfit / np.maximum(count - 2, 1), 1.0)
-    usable = count >= 3
+    usable = (count >= 3) & (determinant > 0)  # rounding can turn the sign where errors differ extremely
     return HeightTrend(
-        np.where(usable, rate, np.nan), np.where(usable, np.sqrt(variance * scale), np.nan), times is not None
+        np.where(usable, rate, np.nan), np.sqrt(np.where(usable, variance * scale, np.nan)), times is not None
     )

@@ -59,7 +59,8 @@ class AreaChange:
         area: area with a difference, in squared units.
         void_area: area without points in an epoch, which no volume includes.
         filled_area: part of `area` of which the differences were filled from the neighbours.
-        volumes: volumes of all cells: each changed part by the sign of its sum, the rest by its sum.
+        volumes: volumes of all cells: each changed part by the sign of its sum, the rest by its sum. Without a model of
+            the errors, fill and cut are those of `by_sign`.
         by_sign: fill and cut as plain sums by sign, which errors enlarge on both sides.
         detected: volumes of the cells beyond the level of detection alone.
         mean: mean change of height.
@@ -104,7 +105,12 @@ def area_change(difference: DemOfDifference, name: str, mask: Mask) -> AreaChang
     dz = np.where(cells, difference.dz, 0.0)
     count = int(np.count_nonzero(cells))
     beyond = cells & difference.significant
-    volumes = _volumes(difference, cells, dz)
+    by_sign = float(np.maximum(dz, 0).sum()) * cell_area, float(np.maximum(-dz, 0).sum()) * cell_area
+    if difference.model is None:
+        fill, cut, net = (EstimatedChange(each, np.nan, np.nan) for each in (*by_sign, by_sign[0] - by_sign[1]))
+        volumes = CutFill(fill, cut, net)
+    else:
+        volumes = _volumes(difference, cells, dz)
     values = dz[cells]
     return AreaChange(
         name=name,
@@ -112,7 +118,7 @@ def area_change(difference: DemOfDifference, name: str, mask: Mask) -> AreaChang
         void_area=float(np.count_nonzero(mask & ~difference.measured)) * cell_area,
         filled_area=float(np.count_nonzero(cells & difference.filled)) * cell_area,
         volumes=volumes,
-        by_sign=(float(np.maximum(dz, 0).sum()) * cell_area, float(np.maximum(-dz, 0).sum()) * cell_area),
+        by_sign=by_sign,
         detected=_detected_volumes(difference, beyond, dz),
         mean=volumes.net.scaled(1 / (count * cell_area) if count else np.nan),
         largest=float(values.max(initial=0.0)),

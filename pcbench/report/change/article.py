@@ -74,8 +74,8 @@ def _volumes(document: ChangeDocument, drawn: dict[str, str]) -> Iterator[Block]
 def _legend(document: ChangeDocument) -> str:
     text = (
         "Fill is the volume of the raised cells, cut that of the lowered ones, net their difference, each with its"
-        " 95 % interval. Each changed part counts whole, as fill or as cut by the sign of its sum, and so does the rest"
-        " of an area: a sum by the sign of each cell would add up errors. LoD: level of detection."
+        " 95 % interval. Each changed part counts by the sign of its sum, and so does the rest of an area, because"
+        " sums by the sign of each cell would add up its errors. LoD: level of detection."
     )
     if any(change.part_count > MOST_PARTS for change in document.changes):
         text += f" The table has the {MOST_PARTS} largest parts; volumes.csv lists more."

@@ -27,7 +27,7 @@ def draw_volumes(axis: Any, document: ChangeDocument, change: ChangeRecord, *, m
         axis.barh(row, -cut.value, height=0.62, color=_CUT, alpha=0.65, label="cut" if not row else None)
         _error_bar(axis, row, net, "net, 95 % interval" if not row else None)
     axis.axvline(0, color=_GREY, linewidth=0.8)
-    axis.set_yticks(range(len(areas)), [shorten_name(area.name, 18) for area in areas], fontsize=9)
+    axis.set_yticks(range(len(areas)), [shorten_name(area.name, 18) for area in areas], fontsize=9, parse_math=False)
     axis.set_ylim(len(areas) - 0.4, -0.6)
     axis.set_xlabel(f"volume [{volume_unit(document.unit)}]", fontsize=9)
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:,.6g}".replace("-", "−"))
@@ -56,7 +56,8 @@ def draw_profile(axes: Sequence[Any], document: ChangeDocument, number: int) -> 
         above.plot(distances, row, color=color, linewidth=1.6, label=printable(epoch_text(epoch)))
     above.set_ylabel(f"height{unit}", fontsize=9)
     above.set_title(f"Profile P{number}", fontsize=11)
-    above.legend(fontsize=8.5, frameon=False, loc="best")
+    for text in above.legend(fontsize=8.5, frameon=False, loc="best").get_texts():
+        text.set_parse_math(False)
     band = np.fmax.reduce(levels)
     below.fill_between(distances, -band, band, color=_GREY, alpha=0.25, linewidth=0, label="level of detection")
     for row, color in zip(heights[1:] - heights[0], _colors(len(heights))[1:], strict=True):
@@ -99,7 +100,8 @@ def draw_series(axes: Sequence[Any], document: ChangeDocument) -> None:
         axis.legend(fontsize=8.5, frameon=False, loc="best")
         _plain(axis)
     last = axes[-1]
-    last.set_xticks(times, [shorten_name(epoch.date or epoch.name, 14) for epoch in document.epochs], fontsize=9)
+    names = [shorten_name(epoch.date or epoch.name, 14) for epoch in document.epochs]
+    last.set_xticks(times, names, fontsize=9, parse_math=False)
     last.set_xlabel("epoch" if document.years is None else "date", fontsize=9)
 
 

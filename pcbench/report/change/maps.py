@@ -24,9 +24,13 @@ from pcbench.measure.dem.outlines import outlines_of
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import HeightTrend
 from pcbench.measure.dem.volumes import AreaChange
+from pcbench.report.change.words import peak
 
 MAPS = "maps"
-GEOPACKAGE, TREND = "change.gpkg", "trend.tif"
+GEOPACKAGE = "change.gpkg"
+TREND_NAME = "trend"
+"""Name of the map of the trend, which no epoch may have."""
+TREND = f"{TREND_NAME}.tif"
 
 
 def difference_file(epoch: str) -> str:
@@ -138,5 +142,4 @@ def _properties(area: AreaChange) -> dict[str, float]:
         for name, value in volumes.items()
         for end, number in zip(("", "_low", "_high"), value, strict=True)
     }
-    peak = area.largest if area.largest >= -area.lowest else area.lowest
-    return {**values, "area": area.area, "peak": peak, "below_lod": area.undetected_share}
+    return {**values, "area": area.area, "peak": peak(area), "below_lod": area.undetected_share}

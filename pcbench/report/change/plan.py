@@ -13,18 +13,11 @@ from pcbench.report.change.layers import PlanLayers
 from pcbench.report.change.words import place_mark
 from pcbench.report.colors import Range
 from pcbench.report.figures import rgb
-from pcbench.report.plot.rounding import axis_title, round_length, round_origin
+from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar, paper
+from pcbench.report.plot.rounding import axis_title, round_origin
 
 _OUTLINE, _ZONE, _PROFILE = "#111111", "#8e24aa", "#00695c"
 _MOST_NUMBERS = 12
-_TEXT_EDGE = 2.2
-
-
-def paper(color: str = "white") -> list[Any]:
-    """Return the effect that keeps texts and lines readable on any map: an edge of the colour of paper."""
-    from matplotlib.patheffects import withStroke
-
-    return [withStroke(linewidth=_TEXT_EDGE, foreground=color)]
 
 
 def draw_plan(
@@ -69,8 +62,8 @@ def draw_plan(
     _numbers(axis, document, layers)
     axis.set(xlim=(layers.west, layers.east), ylim=(layers.south, layers.north), aspect="equal")
     _coordinates(axis, document.unit, layers)
-    _scale_bar(axis, document.unit, layers)
-    _north_arrow(axis)
+    draw_scale_bar(axis, document.unit)
+    draw_north_arrow(axis)
 
 
 def change_image(layers: PlanLayers, scale: Range, ground: str) -> NDArray[np.uint8]:
@@ -133,31 +126,6 @@ def _coordinates(axis: Any, unit: str | None, layers: PlanLayers) -> None:
     for label in axis.get_yticklabels():
         label.set(rotation=90, va="center")
     axis.grid(color="#000000", alpha=0.13, linewidth=0.5)
-
-
-def _scale_bar(axis: Any, unit: str | None, layers: PlanLayers) -> None:
-    from matplotlib.patches import Rectangle
-
-    width, height = layers.east - layers.west, layers.north - layers.south
-    length = round_length(0.22 * width)
-    x, y, thick = layers.west + 0.03 * width, layers.south + 0.035 * height, 0.012 * max(height, 0.5 * width)
-    axis.add_patch(
-        Rectangle((x - 0.015 * width, y - thick), length + 0.03 * width, 5.2 * thick, color="white", alpha=0.75, lw=0)
-    )
-    for part, color in ((0, "#111111"), (1, "white")):
-        axis.add_patch(
-            Rectangle((x + 0.5 * part * length, y), 0.5 * length, thick, facecolor=color, edgecolor="#111111", lw=0.8)
-        )
-    label = f"{length:g} {unit}" if unit else f"{length:g} units"
-    axis.text(x + 0.5 * length, y + 1.5 * thick, label, fontsize=8, ha="center", va="bottom", color="#111111")
-
-
-def _north_arrow(axis: Any) -> None:
-    axis.annotate(
-        "N", xy=(0.965, 0.97), xytext=(0.965, 0.86), xycoords="axes fraction", ha="center", va="center", fontsize=11,
-        fontweight="bold", color="#111111", path_effects=paper(),
-        arrowprops={"arrowstyle": "-|>", "color": "#111111", "linewidth": 1.8, "path_effects": paper()},
-    )  # fmt: skip
 
 
 def draw_raster(

@@ -19,6 +19,8 @@ METHODS = {
     "tin": "the triangulated points at the centre of a cell",
 }
 _DIGITS = 3
+_LEAST_DECIMAL = 1e-6
+"""Largest size that is written with a power of ten."""
 _LEAST_SHARE = 1e-3  # of the white error; smaller errors are not named
 
 
@@ -29,19 +31,27 @@ def decimals_for(largest: float) -> int:
     return max(0, _DIGITS - 1 - math.floor(math.log10(largest)))
 
 
+def _formatted(value: float, largest: float, *, signed: bool = False) -> str:
+    """Return a number with the decimals of the largest of its row, and without the sign of a zero."""
+    sign = "+" if signed else ""
+    if 0 < largest < _LEAST_DECIMAL:
+        return f"{value:{sign}z.{_DIGITS}g}"
+    return f"{value:{sign}z,.{decimals_for(largest)}f}"
+
+
 def measured_text(value: EstimatedChange, *, signed: bool = False, scale: float = 1.0) -> str:
     """Return a value with its interval, such as "+376 [125, 627]"; without an interval, the value alone."""
     sizes = [abs(each) for each in value if math.isfinite(each)]
-    places = decimals_for(scale * max(sizes, default=0.0))
-    text = f"{scale * value.value:{'+' if signed else ''},.{places}f}"
+    largest = scale * max(sizes, default=0.0)
+    text = _formatted(scale * value.value, largest, signed=signed)
     if not math.isfinite(value.low):
         return text
-    return f"{text} [{scale * value.low:,.{places}f}, {scale * value.high:,.{places}f}]"
+    return f"{text} [{_formatted(scale * value.low, largest)}, {_formatted(scale * value.high, largest)}]"
 
 
 def number_text(value: float, *, signed: bool = False) -> str:
     """Return a number with three significant digits, whole from 100 on."""
-    return f"{value:{'+' if signed else ''},.{decimals_for(abs(value))}f}"
+    return _formatted(value, abs(value), signed=signed)
 
 
 def volume_unit(unit: str | None) -> str:
@@ -188,7 +198,10 @@ def uncertainty_sentence(document: ChangeDocument) -> str:
     """Return what the intervals state, in one sentence."""
     errors = document.changes[-1].errors
     if errors is None:
-        return "There is too little terrain without change to estimate the errors, so the values have no intervals."
+        return (
+            "There is too little terrain without change to estimate the errors, so the values have no intervals, and"
+            " fill and cut are sums by the sign of each cell, which errors enlarge."
+        )
     source = "named stable terrain" if errors.offset is not None else "terrain without visible change"
     return (
         "Intervals of 95 % follow from white and correlated errors of several ranges, which the"

@@ -16,7 +16,7 @@ from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import drawing_style
-from pcbench.report.plot.rounding import round_length
+from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar
 from pcbench.report.words import length_number, printable
 from pcbench.studies.checkpoints.results import KIND, PLAN, CheckPointStudy
 from pcbench.studies.frame.canvas import GREY, blank_figure, chart_pictures, open_frame, save_charts
@@ -159,7 +159,8 @@ def _map(study: CheckPointStudy, heights: FloatArray, dark: str) -> Any:
     axis.ticklabel_format(useOffset=False, style="plain")
     axis.tick_params(labelsize=8)
     axis.locator_params(nbins=5)
-    _scale_bar(axis, low, high, unit, dark)
+    draw_scale_bar(axis, unit)
+    draw_north_arrow(axis)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if not all(near):
         outside = pluralize(int((~near).sum()), "check point")
@@ -189,26 +190,3 @@ def _name_points(axis: Any, points: tuple[PointError, ...], places: FloatArray, 
             text = printable(point.name)
             style = {"xytext": (6, 5), "textcoords": "offset points", "fontsize": 7.5, "color": dark}
             axis.annotate(text, place, parse_math=False, zorder=4, **style)
-
-
-def _scale_bar(axis: Any, low: FloatArray, high: FloatArray, unit: str, dark: str) -> None:
-    """Draw a scale bar at the lower left, and an arrow to the north at the upper right."""
-    size = high - low
-    length = round_length(0.22 * float(size[0]))
-    left, bottom = low + 0.03 * float(size.max())
-    axis.plot([left, left + length], [bottom, bottom], color=dark, linewidth=3, solid_capstyle="butt", zorder=5)
-    text = f"{length_number(length)} {unit}"
-    axis.annotate(
-        text, (left + 0.5 * length, bottom), (0, 4), textcoords="offset points", ha="center", fontsize=9, color=dark
-    )
-    arrow = {"arrowstyle": "-|>", "color": dark}
-    axis.annotate(
-        "N",
-        xy=(0.97, 0.97),
-        xytext=(0.97, 0.87),
-        xycoords="axes fraction",
-        arrowprops=arrow,
-        ha="center",
-        fontsize=10,
-        color=dark,
-    )

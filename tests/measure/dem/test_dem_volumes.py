@@ -25,6 +25,18 @@ def test_exact_volume_without_noise(change) -> None:
     assert whole.volumes.net.value == pytest.approx(EXACT_M3[change], rel=0.01, abs=1e-9)
 
 
+def test_without_a_model_of_errors_fill_and_cut_are_sums_by_sign() -> None:
+    heights = np.zeros((9, 9))
+    heights[:6], heights[6:] = 2.0, -1.0
+    grid = HeightGrid.over(np.zeros(2), np.full(2, 9 - 1e-6), 1.0)
+    result = difference_of(grid, _surface(np.zeros((9, 9))), _surface(heights))
+    (whole,) = area_changes(result, {})
+    assert result.model is None
+    assert not result.parts.any()
+    assert (whole.volumes.fill.value, whole.volumes.cut.value, whole.volumes.net.value) == (108, 27, 81)
+    assert np.isnan(whole.volumes.net.low)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_errors_alone_make_no_part(seed: int) -> None:
     noise = np.random.default_rng(seed).standard_normal((CELLS, CELLS))
