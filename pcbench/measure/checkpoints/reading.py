@@ -102,5 +102,6 @@ def _check_units(crs: str | None, unit: str | None, name: str) -> None:
     if unit is None and units is not None and units.are_mixed:
         raise InputError(
             f"{name}: expected one unit of x, y and z, got {units.horizontal} and {units.height}: convert the cloud"
-            f" with pcbench convert {name} OUT --to-unit {units.horizontal}, and the heights of the check points likewise"
+            f" with pcbench convert {name} OUT --to-unit {units.horizontal}, and the heights of the check points"
+            " likewise"
         )
