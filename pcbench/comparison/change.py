@@ -241,7 +241,9 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
             continue
         lines += _difference_warnings(difference, name, is_named=settings.stable is not None)
     if settings.surface.value == "lowest":
-        lines.append("the lowest of more points is lower: compare epochs of different density by mean or tin")
+        lines.append(
+            "the lowest of more points is lower, which is in no interval: compare epochs of different density by mean"
+        )
     return lines
 
 
