@@ -1,6 +1,6 @@
 """Net volumes of known changes by `pcbench change`, by CloudCompare's -VOLUME and by xDEM; for volumes.py.
 
-Each is a command of its own, so that its seconds include its start and the reading of its input. A peer that is not
+Each runs as a separate command, so that its seconds include its start and the reading of its input. A peer that is not
 installed is named.
 """
 

@@ -254,7 +254,9 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
     if len(surveys) > 2 and None not in days and len({*days}) < len(days):
         lines.append("two epochs have one date, so that the trend is per epoch and not per year: check --dates")
     if settings.surface.value == "lowest":
-        lines.append("the lowest of more points is lower: compare epochs of different density by mean or tin")
+        lines.append(
+            "the lowest of more points is lower, which is in no interval: compare epochs of different density by mean"
+        )
     return lines
 
 

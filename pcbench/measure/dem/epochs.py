@@ -21,7 +21,7 @@ from pcbench.geometry.crs import check_heights, check_lengths, crs_name, same_cr
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
-from pcbench.measure.dem.grid import BYTES_PER_CELL, CellMoments, HeightGrid, default_cell
+from pcbench.measure.dem.grid import BYTES_PER_CELL, BYTES_PER_FURTHER_EPOCH, CellMoments, HeightGrid, default_cell
 from pcbench.measure.dem.surface import EpochSurface, GridMethod, surface_of
 
 _MAX_COVERAGE_CELLS = 4096
@@ -195,7 +195,8 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Hei
     """
     low = np.maximum(epochs[0].low, np.minimum.reduce([epoch.low for epoch in epochs[1:]]))
     high = np.minimum(epochs[0].high, np.maximum.reduce([epoch.high for epoch in epochs[1:]]))
-    max_cells = int((memory - _BASE_BYTES) / BYTES_PER_CELL)
+    cell_bytes = BYTES_PER_CELL + BYTES_PER_FURTHER_EPOCH * max(len(epochs) - 2, 0)
+    max_cells = int((memory - _BASE_BYTES) / cell_bytes)
     if max_cells < 1:
         raise InputError(f"expected --memory of more than {_BASE_BYTES >> 20} MiB, got {memory / (1 << 20):.3g} MiB")
     width, height = (high - low)[:2].tolist()
@@ -213,7 +214,7 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Hei
         raise InputError(f"expected cells within the shared area of {width:.4g} x {height:.4g}, got {cell:g}: {reason}")
     grid = HeightGrid.over(low, high, cell)
     if grid.size > max_cells * 1.1:
-        needed = (_BASE_BYTES + grid.size * BYTES_PER_CELL) / (1 << 20)
+        needed = (_BASE_BYTES + grid.size * cell_bytes) / (1 << 20)
         raise InputError(
             f"expected cells that fit into --memory, got {grid.size:,} of {cell:g}, which need {needed:,.0f} MiB:"
             " choose larger cells (--cell) or more memory"

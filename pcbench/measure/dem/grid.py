@@ -17,6 +17,8 @@ POINTS_PER_CELL = 4
 MAX_CELLS = 400_000_000
 BYTES_PER_CELL = 250
 """Largest memory that a comparison of two epochs needs per cell, in bytes."""
+BYTES_PER_FURTHER_EPOCH = 100
+"""Memory per cell that each further epoch needs, in bytes: its heights, its difference and its share of the trend."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,10 @@ _MAX_TRIANGLE_CELLS = 3.0
 
 
 class GridMethod(StrEnum):
-    """How the points of a cell become its height."""
+    """How the points of a cell become its height.
+
+    The lowest of more points is lower, so that it has an offset between epochs of different density.
+    """
 
     MEAN = "mean"
     MEDIAN = "median"

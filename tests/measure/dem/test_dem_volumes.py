@@ -87,4 +87,5 @@ def test_intervals_cover() -> None:
         for at, change in enumerate(CHANGES):
             result = run(case, change, 1000 * number + at)
             held += [m.low <= result.true[kind] <= m.high for kind, m in result.measured.items() if kind != "part"]
-    assert 0.92 <= np.mean(held) <= 0.995  # 120 runs of four volumes, which depend on each other: standard error 1 %
+    # All kinds of errors together: 120 runs of four volumes, which depend on each other: standard error 1 %.
+    assert 0.92 <= np.mean(held) <= 0.99
