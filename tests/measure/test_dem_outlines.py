@@ -48,6 +48,16 @@ def test_the_volume_along_normals_is_that_of_the_moved_surface(tilt_deg):
     assert result.steep_share == (1.0 if tilt_deg == 90.0 else 0.0)
 
 
+def test_the_interval_along_normals_is_that_of_the_net_alone():
+    """Without change, sums by sign are the errors' size, which no interval about them tells."""
+    rng = np.random.default_rng(3)
+    first, second = (np.column_stack([rng.uniform(0, [20, 12], (6000, 2)), rng.normal(0, 0.02, 6000)]) for _ in "ab")
+    volumes = volume_along_normals(first, second).volumes
+    assert volumes.net.low < 0 < volumes.net.high
+    assert volumes.fill.value > 0 and np.isnan(volumes.fill.low)
+    assert volumes.cut.value > 0 and np.isnan(volumes.cut.high)
+
+
 def test_a_cliff_faces_away_from_the_rock():
     """Between a foot and a top, a vertical wall of 10 by 12 moves outwards by 0.4: the volume is added."""
     rng = np.random.default_rng(2)

@@ -18,7 +18,7 @@ from pcbench.io import read_cloud
 from pcbench.io.json_values import from_json
 from pcbench.measure.dem.epochs import date_of
 from pcbench.measure.dem.settings import ChangeSettings
-from pcbench.measure.dem.volumes import EstimatedChange
+from pcbench.measure.dem.volumes import CutFill, EstimatedChange
 from pcbench.report.article import markdown
 from pcbench.report.change.article import article
 from pcbench.report.change.charts import draw_profile, draw_series, draw_volumes
@@ -113,8 +113,9 @@ def test_assumptions_of_the_intervals_in_words(document):
 
 def test_volumes_along_normals_in_words(document):
     last = document.changes[-1]
+    volumes = CutFill(EstimatedChange(90.0, np.nan, np.nan), EstimatedChange(20.0, np.nan, np.nan), last.whole.mean)
     for steep in (0.0, 0.3):
-        normals = NormalsRecord(last.whole.volumes, last.whole.mean, 700.0, 3.0, 2.0, steep, 0.8)
+        normals = NormalsRecord(volumes, last.whole.mean, 700.0, 3.0, 2.0, steep, 0.8)
         changed = replace(document, changes=(*document.changes[:-1], replace(last, along_normals=normals)))
         check_text(list(answer(changed))[-2])
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.order_statistics import NORMAL_MAD
 
-_NMAD = 1.4826  # ratio of standard deviation to median absolute deviation of normal errors
 OUTLIER_NMADS = 3.0
 _MIN_FOR_OUTLIERS = 5
 _CONFIDENCE = 0.95
@@ -88,7 +88,7 @@ def rmse_interval(rmse: float, count: int) -> tuple[float, float]:
 
 def nmad(errors: FloatArray) -> float:
     """Return the normalised median absolute deviation of errors (N,) (Höhle and Höhle 2009)."""
-    return _NMAD * float(np.median(np.abs(errors - np.median(errors))))
+    return NORMAL_MAD * float(np.median(np.abs(errors - np.median(errors))))
 
 
 def are_outliers(errors: FloatArray) -> NDArray[np.bool_]:

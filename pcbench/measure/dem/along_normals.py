@@ -39,7 +39,8 @@ class NormalVolume:
         side: edge of the cubes, the diameter of the cylinders.
         area: surface with a distance.
         void_area: surface without points of the later epoch in reach.
-        volumes: volumes in front of the surface (fill), behind it (cut), and their difference.
+        volumes: volumes in front of the surface (fill), behind it (cut), and their difference. Fill and cut are sums
+            by the sign of each core point, which errors enlarge, so that only the difference has an interval.
         mean: mean distance.
         steep_share: share of the surface that is steeper than `STEEP_DEG` or overhangs.
         undetected_share: share of the surface whose change is below the level of detection.
@@ -90,14 +91,12 @@ def volume_along_normals(
     tested = np.isfinite(result.lod)
     sigma = np.where(tested, result.sigma, np.median(result.sigma[tested]) if tested.any() else 0.0)
     correlation = _Correlation.of(cores, distances, sigma, measured & tested, seed)
-    halves = [
-        1.96 * math.hypot(correlation.sigma_of(areas * chosen), datum_sigma * float(areas * chosen @ normals[:, 2]))
-        for chosen in (measured & (distances > 0), measured & (distances < 0), measured)
-    ]
+    weights = areas * measured
+    half = 1.96 * math.hypot(correlation.sigma_of(weights), datum_sigma * float(weights @ normals[:, 2]))
     fill, cut = (float((areas * np.maximum(sign * distances, 0)).sum()) for sign in (1, -1))
     area = float(areas[measured].sum())
     steep = np.abs(normals[:, 2]) < np.cos(np.radians(STEEP_DEG))
-    net = EstimatedChange.within(fill - cut, halves[2])
+    net = EstimatedChange.within(fill - cut, half)
     level = 1.96 * np.hypot(sigma, correlation.sigma)
     return NormalVolume(
         result.shifted(-origin),
@@ -105,9 +104,7 @@ def volume_along_normals(
         side,
         area,
         float(areas[~measured].sum()),
-        CutFill(
-            EstimatedChange.within(fill, halves[0], least=0.0), EstimatedChange.within(cut, halves[1], least=0.0), net
-        ),
+        CutFill(EstimatedChange(fill, np.nan, np.nan), EstimatedChange(cut, np.nan, np.nan), net),
         net.scaled(1 / area if area else np.nan),
         float(areas[steep].sum() / areas.sum()) if len(areas) else 0.0,
         float(areas[measured & (np.abs(distances) <= level)].sum() / area) if area else 1.0,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights
 from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.reml import fit_errors
@@ -17,7 +18,6 @@ from pcbench.measure.dem.surface import EpochSurface, slopes_deg
 
 LEVEL_Z = 1.96
 """Standard deviations of the level of detection, which 95 % of differences without change do not exceed."""
-_NMAD = 1.4826
 _OUTLIER_Z = 3.0
 _FAMILY_ERROR = 0.01
 """Probability that errors alone make any part that counts as a change, if they are normal."""
@@ -249,7 +249,7 @@ def _without_outliers(dz: FloatArray, white: FloatArray, allowed: Mask) -> Mask:
         return allowed
     values = dz[allowed]
     median = np.median(values)
-    spread = _NMAD * np.median(np.abs(values - median))
+    spread = NORMAL_MAD * np.median(np.abs(values - median))
     correlated = max(spread**2 - float(np.median(white[allowed])), 0.0)
     with np.errstate(invalid="ignore"):
         outlying = allowed & (np.abs(dz - median) > _OUTLIER_Z * np.sqrt(white + correlated))
@@ -295,7 +295,7 @@ def _by_bin(
 
 
 def _nmad(values: FloatArray) -> float:
-    return float(_NMAD * np.median(np.abs(values - np.median(values))))
+    return float(NORMAL_MAD * np.median(np.abs(values - np.median(values))))
 
 
 def _filled(dz: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:

@@ -168,7 +168,8 @@ def _along_normals(document: ChangeDocument, change: ChangeRecord) -> str:
     return (
         f"Along normals: net {_with_unit_inside(normals.volumes.net, volume_unit(unit), signed=True)} over"
         f" {area_text(normals.area, unit)} of surface (in front {measured_text(normals.volumes.fill)}, behind"
-        f" {measured_text(normals.volumes.cut)}). {percentage(normals.steep_share)} of the surface is steeper than"
+        f" {measured_text(normals.volumes.cut)}, by the sign of each place, which errors enlarge)."
+        f" {percentage(normals.steep_share)} of the surface is steeper than"
         f" {STEEP_DEG:g} degrees. {right}"
     )
 

@@ -25,7 +25,8 @@ def draw_scale_bar(axis: Any, unit: str | None) -> None:
     width, height = east - west, north - south
     length = round_length(0.22 * width)
     x, y, thick = west + 0.03 * width, south + 0.035 * height, 0.012 * max(height, 0.5 * width)
-    corner, ground = (x - 0.015 * width, y - thick), {"color": "white", "alpha": 0.75, "lw": 0, "zorder": 5}
+    corner = (x - 0.015 * width, y - thick)
+    ground: Any = {"color": "white", "alpha": 0.75, "lw": 0, "zorder": 5}
     axis.add_patch(Rectangle(corner, length + 0.03 * width, 5.2 * thick, **ground))
     for part, color in ((0, _DARK), (1, "white")):
         half = (x + 0.5 * part * length, y)
