@@ -135,7 +135,7 @@ def test_grid_of_the_common_area(tmp_path: Path) -> None:
     with check_error():
         common_grid(pair, 0.002, 300 << 20)
     # Cells become larger where they would not fit.
-    assert common_grid(pair, None, (250 << 20) + 1000).size <= 4
+    assert common_grid(pair, None, (250 << 20) + 4000).cell == 2
 
 
 def test_triangulation_that_does_not_fit_into_the_memory_is_refused(tmp_path: Path) -> None:
