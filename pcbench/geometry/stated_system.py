@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -96,7 +97,7 @@ def state_unit(cloud: Cloud, unit: str | None, z_unit: str | None, warn: Warn) -
         changes = [("x, y and z", before, horizontal)]
     replaced = [f"{axes} in {old} (now {new})" for axes, old, new in changes if not _is_same_unit(old, new)]
     if replaced:
-        warn(f"the file states {' and '.join(replaced)}; coordinates stay as they are")
+        warn(f"replaced what was stated: {' and '.join(replaced)}; coordinates stay as they are")
     if units is None:  # without a CRS, or with one that pyproj does not know
         if height is None or _is_same_unit(height, horizontal):
             return replace(cloud, unit=horizontal)
@@ -152,7 +153,12 @@ def scale_coordinates(cloud: Cloud, factor: float, warn: Warn) -> Cloud:
         cloud: the cloud.
         factor: the positive factor.
         warn: called with one line if the file states a CRS or a unit, in which the new coordinates are not.
+
+    Raises:
+        InputError: coordinates overflow.
     """
+    if not math.isfinite(float(np.abs(cloud.points).max(initial=0.0)) * factor):
+        raise InputError(f"expected a factor with which coordinates stay finite, got {factor:g}")
     if cloud.crs is not None or cloud.unit is not None:
         stated = f"the system {crs_name(cloud.crs)}" if cloud.crs is not None else f"the unit {cloud.unit}"
         warn(f"left out {stated}, which the file states and scaled coordinates are not in")

@@ -116,6 +116,7 @@ def test_statements_that_make_no_sense_are_refused():
         lambda: state_crs(plain, "nowhere", silent),
         lambda: state_crs(plain, "EPSG:4326", silent),
         lambda: state_crs(plain, "EPSG:5703", silent),
+        lambda: scale_coordinates(plain, 1e305, silent),
         lambda: state_unit(degrees, "m", None, silent),
         lambda: state_unit(Cloud(OHIO, unit="deg"), "m", None, silent),
         lambda: state_unit(plain, None, "m", silent),
