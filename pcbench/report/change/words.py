@@ -147,12 +147,17 @@ def _detections(document: ChangeDocument, change: ChangeRecord, errors: ErrorRec
             f" {place_text(largest.centre)} by {volume} over {area_text(largest.area, document.unit)}, at most"
             f" {length_text(abs(peak(largest)), document.unit)}."
         )
-    yield (
+    text = (
         f"{percentage(whole.undetected_share)} of the area changed by less than the level of detection, whose median is"
-        f" {length_text(errors.median_level, document.unit)}. The cells beyond it alone have net"
-        f" {_with_unit_inside(whole.detected.net, volume_unit(document.unit), signed=True)}"
-        f" (fill {measured_text(whole.detected.fill)}, cut {measured_text(whole.detected.cut)})."
+        f" {length_text(errors.median_level, document.unit)}."
     )
+    if change.part_count:  # otherwise the cells beyond it are those with the largest errors
+        text += (
+            f" The cells beyond it alone have net"
+            f" {_with_unit_inside(whole.detected.net, volume_unit(document.unit), signed=True)}"
+            f" (fill {measured_text(whole.detected.fill)}, cut {measured_text(whole.detected.cut)})."
+        )
+    yield text
 
 
 def _along_normals(document: ChangeDocument, change: ChangeRecord) -> str:
