@@ -183,7 +183,7 @@ def test_the_keyboard_switches_panes(browser, path):
 
 
 def labels_after(browser, count, last):
-    """Return the labels of the panes when there are so many, the last of that name, or after ten seconds.
+    """Return the labels of the panes, once their number and the last one are as expected, or after ten seconds.
 
     A busy machine draws later than `press_key` waits.
     """
