@@ -27,6 +27,6 @@ def without_progress(err):
 
 
 def is_one_line(err):
-    """Whether standard error is a one-line error."""
+    """Return whether standard error is a one-line error."""
     err = without_progress(err)
     return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err

@@ -88,7 +88,7 @@ class DemOfDifference:
 
     @property
     def is_offset_subtracted(self) -> bool:
-        """Whether the mean difference of named stable terrain was subtracted."""
+        """Return whether the mean difference of named stable terrain was subtracted."""
         return self.offset is not None
 
     @cached_property
@@ -208,34 +208,29 @@ def changed_parts(dz: FloatArray, sigma: FloatArray) -> NDArray[np.int32]:
     level that the errors of all cells reach with a probability of `_FAMILY_ERROR`. It is grown by `_GROWN_CELLS` cells,
     so that its flat edge belongs to it.
     """
-    from scipy.ndimage import binary_dilation, label
+    from scipy.ndimage import label, minimum_filter
     from scipy.special import ndtri
 
     size = max(int(np.count_nonzero(np.isfinite(dz))), 1)
     seed_z = float(ndtri(1 - _FAMILY_ERROR / (2 * size)))
-    scores = np.nan_to_num(dz / sigma)
-    candidates: list[tuple[float, Mask]] = []
-    eight = np.ones((3, 3), dtype=bool)
+    scores, sizes = np.nan_to_num(dz / sigma), np.abs(np.nan_to_num(dz))
+    labels, first = np.zeros(dz.shape, np.int32), 0
     for sign in (1, -1):
-        numbers, count = label(sign * scores > LEVEL_Z, structure=eight)
-        if not count:
-            continue
-        cells = np.bincount(numbers.ravel(), minlength=count + 1)
-        is_seeded = np.zeros(count + 1, dtype=bool)
-        is_seeded[np.unique(numbers[sign * scores > seed_z])] = True
-        is_seeded[0] = False
-        sums = np.bincount(numbers.ravel(), np.abs(np.nan_to_num(dz)).ravel(), minlength=count + 1)
-        for number in np.flatnonzero(is_seeded & (cells >= MIN_PART_CELLS)).tolist():
-            candidates.append((float(sums[number]), numbers == number))
-    parts = np.zeros(dz.shape, np.int32)
-    candidates.sort(key=lambda pair: -pair[0])
-    for order, (_, mask) in enumerate(candidates, 1):
-        parts[mask] = order
-    core = parts > 0
-    for order, (_, mask) in enumerate(candidates, 1):
-        grown = binary_dilation(mask, eight, iterations=_GROWN_CELLS)
-        parts[grown & ~core & (parts == 0) & np.isfinite(dz)] = order
-    return parts
+        numbers, count = label(sign * scores > LEVEL_Z, structure=np.ones((3, 3), dtype=bool))
+        labels[numbers > 0] = numbers[numbers > 0] + first
+        first += count
+    is_part = np.bincount(labels.ravel(), minlength=first + 1) >= MIN_PART_CELLS
+    is_part &= np.bincount(labels[np.abs(scores) > seed_z], minlength=first + 1) > 0
+    is_part[0] = False
+    sums = np.bincount(labels.ravel(), sizes.ravel(), minlength=first + 1)
+    ranked = np.flatnonzero(is_part)[np.argsort(-sums[is_part], kind="stable")]
+    outside = len(ranked) + 1  # above the numbers of all parts, so that of several parts near a cell the largest grows
+    order = np.full(first + 1, outside, np.int32)
+    order[ranked] = np.arange(1, outside)
+    cores = order[labels]
+    grown = minimum_filter(cores, 2 * _GROWN_CELLS + 1, mode="constant", cval=outside)
+    parts = np.where(cores < outside, cores, np.where(np.isfinite(dz), grown, outside))
+    return np.where(parts < outside, parts, 0).astype(np.int32)
 
 
 def _without_outliers(dz: FloatArray, white: FloatArray, allowed: Mask) -> Mask:

@@ -31,7 +31,7 @@ class GridMethod(StrEnum):
 
     @property
     def needs_all_points(self) -> bool:
-        """Whether all points of a cloud have to be in memory."""
+        """Return whether all points of a cloud have to be in memory."""
         return self in (GridMethod.MEDIAN, GridMethod.TIN)
 
 
