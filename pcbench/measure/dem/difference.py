@@ -16,6 +16,9 @@ from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.reml import fit_errors
 from pcbench.measure.dem.surface import EpochSurface, slopes_deg
 
+Window = tuple[slice, slice]
+"""Rows and columns of a part of a grid."""
+WHOLE_GRID: Window = (slice(None), slice(None))
 LEVEL_Z = 1.96
 """Standard deviations of the level of detection, which 95 % of differences without change do not exceed."""
 _OUTLIER_Z = 3.0
@@ -113,16 +116,24 @@ class DemOfDifference:
         """The size (H, W) that 95 % of differences without change do not exceed; NaN in voids."""
         return LEVEL_Z * self.sigma
 
-    @property
+    @cached_property
     def significant(self) -> Mask:
         """The cells (H, W) whose difference exceeds the level of detection."""
         return np.abs(np.nan_to_num(self.dz)) > np.nan_to_num(self.level_of_detection, nan=np.inf)
 
-    def sum_weights(self, weights: FloatArray) -> SumWeights:
-        """Return the moments of a weighted sum of differences (H, W), with the error of a subtracted offset."""
+    def sum_weights(self, weights: FloatArray, window: Window = WHOLE_GRID) -> SumWeights:
+        """Return the moments of a weighted sum of differences, with the error of a subtracted offset.
+
+        Args:
+            weights: (h, w) weights of the cells in the window.
+            window: rows and columns of the cells.
+        """
         if self.is_offset_subtracted:
-            weights = weights - weights.sum() / np.count_nonzero(self.stable) * self.stable
-        return SumWeights.of(weights, np.nan_to_num(self.white))
+            everywhere = np.zeros(self.dz.shape)
+            everywhere[window] = weights
+            weights = everywhere - weights.sum() / np.count_nonzero(self.stable) * self.stable
+            window = WHOLE_GRID
+        return SumWeights.of(weights, np.nan_to_num(self.white[window]))
 
 
 def cell_sigma(model: ErrorModel | None, white: FloatArray, datum_sigma: float) -> FloatArray:

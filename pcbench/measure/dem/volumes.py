@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.dem.covariance import Mask
-from pcbench.measure.dem.difference import DemOfDifference
+from pcbench.measure.dem.difference import WHOLE_GRID, DemOfDifference, Window
 
 WHOLE_AREA = "all"
 """Name of the area that both epochs cover."""
@@ -100,82 +100,101 @@ def area_changes(difference: DemOfDifference, zones: Mapping[str, Mask]) -> Iter
 
 def area_change(difference: DemOfDifference, name: str, mask: Mask) -> AreaChange:
     """Return the change of the cells (H, W) of a mask."""
-    cell_area = difference.grid.cell_area
-    cells = mask & difference.measured
-    dz = np.where(cells, difference.dz, 0.0)
-    count = int(np.count_nonzero(cells))
-    beyond = cells & difference.significant
+    window = _bounding_window(mask)
+    mask, dz = mask[window], difference.dz[window]
+    measured = np.isfinite(dz)
+    cells = mask & measured
+    dz = np.where(cells, dz, 0.0)
+    cell_area, count = difference.grid.cell_area, int(np.count_nonzero(cells))
+    beyond = cells & difference.significant[window]
     by_sign = float(np.maximum(dz, 0).sum()) * cell_area, float(np.maximum(-dz, 0).sum()) * cell_area
     if difference.model is None:
         fill, cut, net = (EstimatedChange(each, np.nan, np.nan) for each in (*by_sign, by_sign[0] - by_sign[1]))
         volumes = CutFill(fill, cut, net)
     else:
-        volumes = _volumes(difference, cells, dz)
+        volumes = _volumes(difference, window, cells, dz)
     values = dz[cells]
     return AreaChange(
         name=name,
         area=count * cell_area,
-        void_area=float(np.count_nonzero(mask & ~difference.measured)) * cell_area,
-        filled_area=float(np.count_nonzero(cells & difference.filled)) * cell_area,
+        void_area=float(np.count_nonzero(mask & ~measured)) * cell_area,
+        filled_area=float(np.count_nonzero(cells & difference.filled[window])) * cell_area,
         volumes=volumes,
         by_sign=by_sign,
-        detected=_detected_volumes(difference, beyond, dz),
+        detected=_detected_volumes(difference, window, beyond, dz),
         mean=volumes.net.scaled(1 / (count * cell_area) if count else np.nan),
         largest=float(values.max(initial=0.0)),
         lowest=float(values.min(initial=0.0)),
         undetected_share=1 - np.count_nonzero(beyond) / count if count else 1.0,
-        centre=_centre(difference, np.abs(dz), cells),
+        centre=_centre(difference, window, np.abs(dz), cells),
     )
 
 
-def half_width(difference: DemOfDifference, weights: FloatArray) -> float:
-    """Return half the width of the 95 % interval of the volume of weighted cells (H, W); NaN without a model."""
+def _bounding_window(mask: Mask) -> Window:
+    """Return the rows and columns around the cells of a mask; the whole grid if it has none."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return WHOLE_GRID
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def half_width(difference: DemOfDifference, weights: FloatArray, window: Window = WHOLE_GRID) -> float:
+    """Return half the width of the 95 % interval of the volume of weighted cells; NaN without a model.
+
+    Args:
+        difference: the DEM of difference.
+        weights: (h, w) weights of the cells in the window.
+        window: rows and columns of the cells.
+    """
     if difference.model is None:
         return np.nan
     further = (difference.datum_sigma * float(weights.sum())) ** 2
-    heights = difference.model.half_width(difference.sum_weights(weights), further_variance=further)
+    heights = difference.model.half_width(difference.sum_weights(weights, window), further_variance=further)
     return heights * difference.grid.cell_area
 
 
-def _volumes(difference: DemOfDifference, cells: Mask, dz: FloatArray) -> CutFill:
+def _volumes(difference: DemOfDifference, window: Window, cells: Mask, dz: FloatArray) -> CutFill:
     """Return the volumes of cells: each changed part by the sign of its sum, the other cells by their common sum.
 
     A sum by the sign of each cell would add up the errors of the cells that did not change. What the other cells hide
     is taken as a change of one sign: a volume is that of the parts alone, or with the other cells, whichever is larger.
     """
-    cell_area = difference.grid.cell_area
-    outside = cells & (difference.parts == 0)
-    signs = difference.part_signs[difference.parts]
+    cell_area, parts = difference.grid.cell_area, difference.parts[window]
+    outside = cells & (parts == 0)
+    signs = difference.part_signs[parts]
     rest = float(dz[outside].sum()) * cell_area
     sides = []
     for sign in (1, -1):
         own = cells & (signs == sign)
         volume = abs(float(dz[own].sum())) * cell_area
-        alone = half_width(difference, own.astype(float))
-        both = half_width(difference, (own | outside).astype(float))
+        alone = half_width(difference, own.astype(float), window)
+        both = half_width(difference, (own | outside).astype(float), window)
         low = max(volume + max(sign * rest - both, -alone), 0.0)
         high = volume + max(sign * rest + both, alone)
         sides.append(EstimatedChange(volume + max(sign * rest, 0.0), low, high))
     net = float(dz.sum()) * cell_area
-    return CutFill(sides[0], sides[1], EstimatedChange.within(net, half_width(difference, cells.astype(float))))
+    return CutFill(sides[0], sides[1], EstimatedChange.within(net, half_width(difference, cells.astype(float), window)))
 
 
-def _detected_volumes(difference: DemOfDifference, beyond: Mask, dz: FloatArray) -> CutFill:
+def _detected_volumes(difference: DemOfDifference, window: Window, beyond: Mask, dz: FloatArray) -> CutFill:
     """Return the volumes of the cells beyond the level of detection."""
     cell_area = difference.grid.cell_area
     sides = []
     for sign in (1, -1):
         own = beyond & (sign * dz > 0)
         volume = abs(float(dz[own].sum())) * cell_area
-        sides.append(EstimatedChange.within(volume, half_width(difference, own.astype(float)), least=0.0))
+        sides.append(EstimatedChange.within(volume, half_width(difference, own.astype(float), window), least=0.0))
     net = sides[0].value - sides[1].value
-    return CutFill(sides[0], sides[1], EstimatedChange.within(net, half_width(difference, beyond.astype(float))))
+    return CutFill(
+        sides[0], sides[1], EstimatedChange.within(net, half_width(difference, beyond.astype(float), window))
+    )
 
 
-def _centre(difference: DemOfDifference, weights: FloatArray, cells: Mask) -> tuple[float, float]:
+def _centre(difference: DemOfDifference, window: Window, weights: FloatArray, cells: Mask) -> tuple[float, float]:
     """Return x and y of the centre of the change, weighed by its size."""
     grid = difference.grid
     if not weights.any():
         weights = cells.astype(float)
     total = float(weights.sum()) or 1.0
-    return float(weights.sum(axis=0) @ grid.columns_x) / total, float(weights.sum(axis=1) @ grid.rows_y) / total
+    x, y = grid.columns_x[window[1]], grid.rows_y[window[0]]
+    return float(weights.sum(axis=0) @ x) / total, float(weights.sum(axis=1) @ y) / total
