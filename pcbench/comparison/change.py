@@ -31,7 +31,7 @@ from pcbench.measure.dem.profiles import profile_along
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import place_changes, trend_of, years
 from pcbench.measure.dem.settings import ChangeSettings
-from pcbench.measure.dem.volumes import WHOLE_AREA, area_changes
+from pcbench.measure.dem.volumes import WHOLE_AREA, area_change, part_changes, whole_change
 from pcbench.measure.wording import with_unit
 from pcbench.progress import ProgressPlan
 from pcbench.report.change.document import ChangeDocument
@@ -98,7 +98,7 @@ def measure_change(
     surfaces = []
     for survey in surveys:
         plan(f"gridding {survey.source.path}")
-        surfaces.append(epoch_surface(survey, grid, settings.surface, memory, lambda _: None))
+        surfaces.append(epoch_surface(survey, grid, settings.surface, memory))
     changes = []
     for survey, surface in zip(surveys[1:], surfaces[1:], strict=True):
         plan(f"measuring the change to {survey.name}")
@@ -118,7 +118,16 @@ def measure_change(
         normals = None
         if settings.normals:
             normals = _along_normals(surveys[0], survey, grid, memory, settings.datum_sigma)
-        changes.append(EpochChange(survey, difference, tuple(area_changes(difference, zones)), normals))
+        changes.append(
+            EpochChange(
+                survey,
+                difference,
+                whole_change(difference),
+                tuple(area_change(difference, name, mask) for name, mask in zones.items()),
+                tuple(part_changes(difference)),
+                normals,
+            )
+        )
     differences = [change.difference for change in changes]
     times = years([survey.date for survey in surveys])
     return AreaHistory(

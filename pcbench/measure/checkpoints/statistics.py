@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.measure.metrics import nmad
 
 OUTLIER_NMADS = 3.0
 _MIN_FOR_OUTLIERS = 5
@@ -84,11 +84,6 @@ def rmse_interval(rmse: float, count: int) -> tuple[float, float]:
     tail = 0.5 * (1.0 - _CONFIDENCE)
     low, high = (float(chdtri(count, p)) for p in (tail, 1.0 - tail))  # chdtri takes the upper tail
     return rmse * math.sqrt(count / low), rmse * math.sqrt(count / high)
-
-
-def nmad(errors: FloatArray) -> float:
-    """Return the normalised median absolute deviation of errors (N,) (Höhle and Höhle 2009)."""
-    return NORMAL_MAD * float(np.median(np.abs(errors - np.median(errors))))
 
 
 def are_outliers(errors: FloatArray) -> NDArray[np.bool_]:

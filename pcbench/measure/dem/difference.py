@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.measure.dem.covariance import ErrorModel, Mask, SumWeights
 from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.reml import fit_errors
 from pcbench.measure.dem.surface import EpochSurface, slopes_deg
+from pcbench.measure.metrics import nmad
 
 Window = tuple[slice, slice]
 """Rows and columns of a part of a grid."""
@@ -255,7 +255,7 @@ def _without_outliers(dz: FloatArray, white: FloatArray, allowed: Mask) -> Mask:
         return allowed
     values = dz[allowed]
     median = np.median(values)
-    spread = NORMAL_MAD * np.median(np.abs(values - median))
+    spread = nmad(values)
     correlated = max(spread**2 - float(np.median(white[allowed])), 0.0)
     with np.errstate(invalid="ignore"):
         outlying = allowed & (np.abs(dz - median) > _OUTLIER_Z * np.sqrt(white + correlated))
@@ -287,21 +287,17 @@ def _by_bin(
     residuals = residuals - (np.median(dz[stable]) if stable.any() else 0.0)
     factors = np.ones(len(edges) - 1)
     bins: list[ErrorBin] = []
-    overall = _nmad(residuals[stable] / np.sqrt(white[stable])) if stable.any() else 0.0
+    overall = nmad(residuals[stable] / np.sqrt(white[stable])) if stable.any() else 0.0
     for number in range(len(edges) - 1):
         chosen = stable & (numbers == number)
         cells = int(np.count_nonzero(chosen))
         if cells < _MIN_BIN_CELLS or not overall > 0:
             continue
-        factor = _nmad(residuals[chosen] / np.sqrt(white[chosen])) / overall
+        factor = nmad(residuals[chosen] / np.sqrt(white[chosen])) / overall
         if not 1 / _SIGNIFICANT_FACTOR < factor < _SIGNIFICANT_FACTOR:
             factors[number] = factor
-        bins.append(ErrorBin(edges[number], edges[number + 1], cells, _nmad(residuals[chosen]), float(factors[number])))
+        bins.append(ErrorBin(edges[number], edges[number + 1], cells, nmad(residuals[chosen]), float(factors[number])))
     return tuple(bins), white * factors[numbers] ** 2
-
-
-def _nmad(values: FloatArray) -> float:
-    return float(NORMAL_MAD * np.median(np.abs(values - np.median(values))))
 
 
 def _filled(dz: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray, Mask]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 
@@ -222,9 +222,7 @@ def common_grid(epochs: Sequence[Epoch], cell: float | None, memory: int) -> Hei
     return grid
 
 
-def epoch_surface(
-    epoch: Epoch, grid: HeightGrid, method: GridMethod, memory: int, step: Callable[[str], None]
-) -> EpochSurface:
+def epoch_surface(epoch: Epoch, grid: HeightGrid, method: GridMethod, memory: int) -> EpochSurface:
     """Read a survey and return its heights on a grid.
 
     Args:
@@ -232,7 +230,6 @@ def epoch_surface(
         grid: the cells.
         method: how points become heights.
         memory: bytes that may be used.
-        step: called with a short text while pieces are read.
 
     Raises:
         InputError: the method needs all points and they do not fit into the memory, or the file has changed.
@@ -245,7 +242,6 @@ def epoch_surface(
     moments = CellMoments(grid, float((epoch.low[2] + epoch.high[2]) / 2))
     kept, count = [], 0
     for piece in epoch.cloud.pieces:
-        step(f"gridding {epoch.source.path}")
         points = read_piece(epoch.cloud, piece).points
         count += len(points)
         moments.add(points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pcbench.geometry.arrays import FloatArray
@@ -25,27 +25,19 @@ class EpochChange:
     Attributes:
         epoch: the later epoch.
         difference: the DEM of difference.
-        areas: change of the whole area, then of the zones, then of the changed parts.
+        whole: change of all that both epochs cover.
+        zones: change of the zones in their order.
+        parts: change of the changed parts, the largest first; none without a model of the errors, which tells them
+            apart.
         along_normals: volume along normals, if it was measured.
     """
 
     epoch: Epoch
     difference: DemOfDifference
-    areas: tuple[AreaChange, ...]
+    whole: AreaChange
+    zones: tuple[AreaChange, ...]
+    parts: tuple[AreaChange, ...]
     along_normals: NormalVolume | None
-
-    @property
-    def whole(self) -> AreaChange:
-        """Change of all that both epochs cover."""
-        return self.areas[0]
-
-    def zones(self, names: Sequence[str]) -> tuple[AreaChange, ...]:
-        """Return the changes of the zones."""
-        return self.areas[1 : 1 + len(names)]
-
-    def parts(self, names: Sequence[str]) -> tuple[AreaChange, ...]:
-        """Return the changed parts, the largest first; none without a model of the errors, which tells them apart."""
-        return self.areas[1 + len(names) :]
 
 
 @dataclass(frozen=True, eq=False)

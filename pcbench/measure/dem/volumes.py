@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -84,16 +84,13 @@ class AreaChange:
     centre: tuple[float, float]
 
 
-def area_changes(difference: DemOfDifference, zones: Mapping[str, Mask]) -> Iterator[AreaChange]:
-    """Yield the change of the whole area, of the zones in their order, and of the changed parts, the largest first.
+def whole_change(difference: DemOfDifference) -> AreaChange:
+    """Return the change of all cells."""
+    return area_change(difference, WHOLE_AREA, np.ones(difference.dz.shape, dtype=bool))
 
-    Args:
-        difference: the DEM of difference.
-        zones: cells (H, W) of each zone by its name.
-    """
-    yield area_change(difference, WHOLE_AREA, np.ones(difference.dz.shape, dtype=bool))
-    for name, mask in zones.items():
-        yield area_change(difference, name, mask)
+
+def part_changes(difference: DemOfDifference) -> Iterator[AreaChange]:
+    """Yield the change of each changed part, the largest first, up to `MOST_PARTS`."""
     for number in range(1, min(int(difference.parts.max(initial=0)), MOST_PARTS) + 1):
         yield area_change(difference, f"part {number}", difference.parts == number)
 

@@ -233,12 +233,11 @@ def date_in_name(day: date, name: str) -> str:
 def _change(change: EpochChange, history: AreaHistory) -> ChangeRecord:
     normals = change.along_normals
     difference = change.difference
-    names = tuple(history.zones)
     return ChangeRecord(
         epoch=change.epoch.name,
         whole=change.whole,
-        zones=change.zones(names),
-        parts=change.parts(names),
+        zones=change.zones,
+        parts=change.parts,
         part_count=0 if difference.model is None else int(difference.parts.max(initial=0)),
         errors=_errors(difference, history.grid.cell),
         along_normals=None

@@ -121,7 +121,7 @@ def _write_cells(path: Path, difference: DemOfDifference, history: AreaHistory) 
 
 
 def _part_features(change: EpochChange, history: AreaHistory) -> Iterator[Feature]:
-    for number, part in enumerate(change.parts(tuple(history.zones)), 1):
+    for number, part in enumerate(change.parts, 1):
         outlines = outlines_of(change.difference.parts == number, history.grid)
         shape = polygons_together(polygon_within(each.outer, each.holes) for each in outlines)
         yield Feature(shape, {"part": number, "epoch": change.epoch.name, **_properties(part)})
@@ -129,7 +129,7 @@ def _part_features(change: EpochChange, history: AreaHistory) -> Iterator[Featur
 
 def _zone_features(change: EpochChange, history: AreaHistory) -> Iterator[Feature]:
     """Yield the cells of the zones, which the volumes are those of."""
-    for (name, mask), zone in zip(history.zones.items(), change.zones(tuple(history.zones)), strict=True):
+    for (name, mask), zone in zip(history.zones.items(), change.zones, strict=True):
         shape = polygons_together(polygon_within(each.outer, each.holes) for each in outlines_of(mask, history.grid))
         yield Feature(shape, {"zone": name, "epoch": change.epoch.name, **_properties(zone)})
 

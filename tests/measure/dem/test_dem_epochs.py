@@ -141,7 +141,7 @@ def test_grid_of_the_common_area(tmp_path: Path) -> None:
 def test_triangulation_that_does_not_fit_into_the_memory_is_refused(tmp_path: Path) -> None:
     epoch = _epoch(tmp_path / "e.ply", _lattice(8, 8, 1.0))
     with check_error():
-        epoch_surface(epoch, common_grid([epoch, epoch], 1.0, 1 << 30), GridMethod.TIN, 1000, lambda _: None)
+        epoch_surface(epoch, common_grid([epoch, epoch], 1.0, 1 << 30), GridMethod.TIN, 1000)
 
 
 def test_profile_of_a_plane() -> None:

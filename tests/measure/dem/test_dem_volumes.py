@@ -7,7 +7,7 @@ from volume_cases import CELLS, CHANGES, EXACT_M3, NOISES, Case, Noise, box, cas
 from pcbench.measure.dem.difference import changed_parts, difference_of
 from pcbench.measure.dem.grid import HeightGrid
 from pcbench.measure.dem.surface import EpochSurface
-from pcbench.measure.dem.volumes import area_change, area_changes
+from pcbench.measure.dem.volumes import area_change, whole_change
 
 GRID = HeightGrid.over(np.zeros(2), np.full(2, CELLS - 1e-6), 1.0)
 
@@ -20,7 +20,7 @@ def _surface(heights: np.ndarray, variance: float = 1e-4) -> EpochSurface:
 @pytest.mark.parametrize("change", CHANGES)
 def test_exact_volume_without_noise(change) -> None:
     result = difference_of(GRID, _surface(np.zeros((CELLS, CELLS))), _surface(cell_sums(change)))
-    whole = next(area_changes(result, {}))
+    whole = whole_change(result)
     # Heights at 8 x 8 places of a cell: the rim of the cone and the edges of the others are cut at 1/8 m.
     assert whole.volumes.net.value == pytest.approx(EXACT_M3[change], rel=0.01, abs=1e-9)
 
@@ -30,7 +30,7 @@ def test_without_a_model_of_errors_fill_and_cut_are_sums_by_sign() -> None:
     heights[:6], heights[6:] = 2.0, -1.0
     grid = HeightGrid.over(np.zeros(2), np.full(2, 9 - 1e-6), 1.0)
     result = difference_of(grid, _surface(np.zeros((9, 9))), _surface(heights))
-    (whole,) = area_changes(result, {})
+    whole = whole_change(result)
     assert result.model is None
     assert not result.parts.any()
     assert (whole.volumes.fill.value, whole.volumes.cut.value, whole.volumes.net.value) == (108, 27, 81)
