@@ -16,7 +16,7 @@ from pcbench.io.las_records import parse_filters
 from pcbench.io.pieces.reading import read_piece
 from pcbench.io.source import Source
 from pcbench.measure.dem.along_normals import STEEP_DEG, NormalVolume, volume_along_normals
-from pcbench.measure.dem.covariance import Mask
+from pcbench.measure.dem.covariance import ErrorModel, Mask
 from pcbench.measure.dem.difference import DemOfDifference, difference_of
 from pcbench.measure.dem.epochs import (
     Epoch,
@@ -44,6 +44,7 @@ from pcbench.report.names import names_of
 _BYTES_PER_NORMAL_POINT = 300
 _MIN_STABLE_SHARE = 0.5
 _MAX_STEEP_SHARE = 0.02
+_MAX_DRIFT_RATIO = 5.0  # of the correlated error over long distances to the error from cell to cell
 
 
 def open_epochs(
@@ -258,7 +259,8 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
                 offset = with_unit(f"{difference.offset:.3g}", surveys[0].cloud.unit)
                 lines.append(f"{name}: the mean difference of the named stable terrain, {offset}, was subtracted")
             continue
-        lines += _difference_warnings(difference, name, is_named=settings.stable is not None)
+        is_named, unit = settings.stable is not None, surveys[0].cloud.unit
+        lines += _difference_warnings(difference, difference.model, name, unit, is_named=is_named)
     days = [survey.date for survey in surveys]
     if len(surveys) > 2 and None not in days and len({*days}) < len(days):
         lines.append("two epochs have one date, so that the trend is per epoch and not per year: check --dates")
@@ -269,11 +271,27 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
     return lines
 
 
-def _difference_warnings(difference: DemOfDifference, name: str, *, is_named: bool) -> list[str]:
+def _difference_warnings(
+    difference: DemOfDifference, model: ErrorModel, name: str, unit: str | None, *, is_named: bool
+) -> list[str]:
     lines = []
     measured = int(np.count_nonzero(difference.measured))
     stable = np.count_nonzero(difference.stable) / max(measured, 1)
-    if not is_named and stable < _MIN_STABLE_SHARE:
+    alike = np.count_nonzero(difference.stable & (difference.parts > 0)) / max(measured, 1)
+    scatter = float(np.sqrt(model.white_scale * np.median(difference.white[difference.stable])))
+    if not is_named and alike >= _MIN_STABLE_SHARE:
+        lines.append(
+            f"{name}: {alike:.0%} of the area changed alike, by {with_unit(f'{model.mean:+.3g}', unit)}, and shows the"
+            " errors; an offset between the epochs looks the same: name stable terrain with --stable"
+        )
+    elif not is_named and model.long.sigma > _MAX_DRIFT_RATIO * scatter:
+        lines.append(
+            f"{name}: the differences drift by {with_unit(f'{model.long.sigma:.3g}', unit)} over"
+            f" {with_unit(f'{model.long.range * difference.grid.cell:.3g}', unit)}, {model.long.sigma / scatter:.0f}"
+            " times their scatter, so that gradual change and errors are not told apart: name stable terrain with"
+            " --stable"
+        )
+    elif not is_named and stable < _MIN_STABLE_SHARE:
         lines.append(
             f"{name}: only {stable:.0%} of the area shows no change, so that errors and change are hard to tell apart:"
             " name stable terrain with --stable"

@@ -22,6 +22,10 @@ WHOLE_GRID: Window = (slice(None), slice(None))
 LEVEL_Z = 1.96
 """Standard deviations of the level of detection, which 95 % of differences without change do not exceed."""
 _OUTLIER_Z = 3.0
+_ABOUT_AS_NARROW, _MAX_SPREAD_RATIO = 1.1, 1.5
+_ALIKE_SHARE = 0.4  # of cells that lie closest together: up to 60 % may have changed
+_NORMAL_WIDTH = 1.0488  # of this share in the middle of a normal distribution, in standard deviations
+_MIN_STABLE_SHARE = 0.1  # of the cells outside of changed parts; if fewer are left, the area changed as a whole
 _FAMILY_ERROR = 0.01
 """Probability that errors alone make any part that counts as a change, if they are normal."""
 MIN_PART_CELLS = 4
@@ -64,7 +68,8 @@ class DemOfDifference:
             that terrain was named.
         white: (H, W) variances of the differences as the scatter of the points states them, relative to the model.
         filled: (H, W) cells without points in an epoch whose difference was interpolated.
-        stable: (H, W) cells without change, from which the errors were estimated.
+        stable: (H, W) cells from which the errors were estimated: without change, or those that changed alike if the
+            area changed as a whole.
         offset: mean difference of the named stable terrain, which was subtracted; None: none was named.
         model: errors of the cells; None: the stable terrain is too small.
         parts: (H, W) number of the changed part of each cell, from 1; 0 outside, and everywhere without a model.
@@ -189,7 +194,10 @@ def difference_of(
         parts = changed_parts(dz, cell_sigma(model, scaled, datum_sigma))
         if named_stable is not None:
             break
-        unchanged, stable = stable, _without_outliers(dz, scaled, allowed & (parts == 0))
+        outside = allowed & (parts == 0)
+        if np.count_nonzero(outside) < _MIN_STABLE_SHARE * np.count_nonzero(allowed):
+            break  # the area changed as a whole: the cells that changed alike show the errors
+        unchanged, stable = stable, _without_outliers(dz, scaled, outside)
         if np.array_equal(unchanged, stable):
             break
     if model is None:  # without errors, nothing tells a changed part from them
@@ -245,22 +253,38 @@ def changed_parts(dz: FloatArray, sigma: FloatArray) -> NDArray[np.int32]:
 
 
 def _without_outliers(dz: FloatArray, white: FloatArray, allowed: Mask) -> Mask:
-    """Return the allowed cells without those far from the median, and without the neighbours of groups of these.
+    """Return the allowed cells without those far from most others, and without the neighbours of groups of these.
 
-    The spread about the median includes the correlated errors, so that these are not cut off.
+    The spread of the others includes the correlated errors, so that these are not cut off.
     """
     from scipy.ndimage import binary_dilation
 
     if not allowed.any():
         return allowed
-    values = dz[allowed]
-    median = np.median(values)
-    spread = nmad(values)
+    middle, spread = _most_alike(dz[allowed])
     correlated = max(spread**2 - float(np.median(white[allowed])), 0.0)
     with np.errstate(invalid="ignore"):
-        outlying = allowed & (np.abs(dz - median) > _OUTLIER_Z * np.sqrt(white + correlated))
+        outlying = allowed & (np.abs(dz - middle) > _OUTLIER_Z * np.sqrt(white + correlated))
     kept: Mask = allowed & ~binary_dilation(outlying & _is_clustered(outlying), iterations=2) & ~outlying
     return kept if np.count_nonzero(kept) >= 0.1 * np.count_nonzero(allowed) else allowed & ~outlying
+
+
+def _most_alike(values: FloatArray) -> tuple[float, float]:
+    """Return the middle and the standard deviation of the values (N,) that did not change.
+
+    These are the median and the normalised median absolute deviation, unless a group of values lies much closer
+    together, as where half of the area rose: then the middle and the width of the shortest interval with this share of
+    the values (Andrews et al. 1972, the shorth), of equally short ones the one nearest to zero.
+    """
+    ascending = np.sort(values)
+    count = max(round(_ALIKE_SHARE * len(ascending)), 1)
+    low, high = ascending[: len(ascending) - count + 1], ascending[count - 1 :]
+    widths = high - low
+    spread, overall = float(widths.min()) / _NORMAL_WIDTH, nmad(values)
+    if overall <= _MAX_SPREAD_RATIO * spread:
+        return float(np.median(values)), overall
+    middles = ((low + high) / 2)[widths <= _ABOUT_AS_NARROW * widths.min()]
+    return float(middles[np.abs(middles).argmin()]), spread
 
 
 def _is_clustered(mask: Mask) -> Mask:
