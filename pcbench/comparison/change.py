@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -31,6 +32,7 @@ from pcbench.measure.dem.profiles import profile_along
 from pcbench.measure.dem.result import AreaHistory, EpochChange
 from pcbench.measure.dem.series import place_changes, trend_of, years
 from pcbench.measure.dem.settings import ChangeSettings
+from pcbench.measure.dem.surface import GridMethod, lowest_offset
 from pcbench.measure.dem.volumes import WHOLE_AREA, area_change, part_changes, whole_change
 from pcbench.measure.wording import with_unit
 from pcbench.progress import ProgressPlan
@@ -103,13 +105,16 @@ def measure_change(
     changes = []
     for survey, surface in zip(surveys[1:], surfaces[1:], strict=True):
         plan(f"measuring the change to {survey.name}")
+        datum_sigma = settings.datum_sigma
+        if settings.surface is GridMethod.LOWEST and stable is None:
+            datum_sigma = math.hypot(datum_sigma, lowest_offset(surfaces[0], surface))
         difference = difference_of(
             grid,
             surfaces[0],
             surface,
             named_stable=stable,
             is_filled=settings.fill_voids,
-            datum_sigma=settings.datum_sigma,
+            datum_sigma=datum_sigma,
         )
         if not difference.measured.any():
             raise InputError(
@@ -264,9 +269,10 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
     days = [survey.date for survey in surveys]
     if len(surveys) > 2 and None not in days and len({*days}) < len(days):
         lines.append("two epochs have one date, so that the trend is per epoch and not per year: check --dates")
-    if settings.surface.value == "lowest":
+    if settings.surface is GridMethod.LOWEST:
         lines.append(
-            "the lowest of more points is lower, which is in no interval: compare epochs of different density by mean"
+            "the lowest of more points is lower: the intervals have the offset that the numbers of points make, but the"
+            " volumes are not corrected: compare epochs of different density by mean"
         )
     return lines
 

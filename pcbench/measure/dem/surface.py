@@ -21,7 +21,8 @@ _MAX_TRIANGLE_CELLS = 3.0
 class GridMethod(StrEnum):
     """How the points of a cell become its height.
 
-    The lowest of more points is lower, so that it has an offset between epochs of different density.
+    The lowest of more points is lower, so that it has an offset between epochs of different density; see
+    `lowest_offset`.
     """
 
     MEAN = "mean"
@@ -79,6 +80,22 @@ def surface_of(moments: CellMoments, method: GridMethod, points: FloatArray | No
             variances = 0.5 * np.where(np.isfinite(variances), variances, np.nanmedian(variances))
     missing = ~np.isfinite(heights)
     return EpochSurface(heights, np.where(missing, np.nan, variances), counts)
+
+
+def lowest_offset(before: EpochSurface, after: EpochSurface) -> float:
+    """Return the mean difference of the lowest points of two epochs that their numbers of points alone make.
+
+    The lowest of n points whose heights scatter normally with a standard deviation s lies s z((n - 0.375) / (n + 0.25))
+    below their mean, where z is the normal quantile (Blom 1958).
+    """
+    from scipy.special import ndtri
+
+    both = (before.counts > 0) & (after.counts > 0)
+    depths = [
+        np.sqrt(epoch.variances[both]) * ndtri((epoch.counts[both] - 0.375) / (epoch.counts[both] + 0.25))
+        for epoch in (before, after)
+    ]
+    return float(np.mean(depths[0] - depths[1])) if both.any() else 0.0
 
 
 def slopes_deg(heights: FloatArray, cell: float) -> FloatArray:

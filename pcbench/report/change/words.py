@@ -249,13 +249,22 @@ def _assumption(document: ChangeDocument, errors: ErrorRecord) -> str:
         )
     if errors.datum_sigma > 0:
         return (
-            f"{long}. An offset between the epochs is in the intervals with {length_text(errors.datum_sigma, unit)}, as"
-            " given (--datum-sigma)."
+            f"{long}. An offset between the epochs is in the intervals with {length_text(errors.datum_sigma, unit)},"
+            f" {_datum_source(document)}."
         )
     return (
         f"{long}. An offset in height between the epochs cannot be told from change and is in no interval: name stable"
         " terrain (--stable), or state the offset's standard deviation (--datum-sigma)."
     )
+
+
+def _datum_source(document: ChangeDocument) -> str:
+    """Return where the standard deviation of an offset between the epochs is from."""
+    is_lowest = document.settings["surface"] == "lowest"
+    sources = ["as different numbers of points make the lowest of them differ"] if is_lowest else []
+    if document.settings["datum_sigma"] or not is_lowest:
+        sources.append("as given (--datum-sigma)")
+    return " and ".join(sources)
 
 
 def extent_sentences(document: ChangeDocument) -> Iterator[str]:
