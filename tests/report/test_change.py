@@ -167,12 +167,18 @@ def test_parts_and_zones_are_polygons(folder, document):
     with sqlite3.connect(folder / "change.gpkg") as database:
         parts = database.execute("SELECT part, epoch, net, net_low, net_high, area, peak FROM parts").fetchall()
         zones = database.execute("SELECT zone, fill FROM zones WHERE epoch = 'site_2023'").fetchall()
+        places = database.execute("SELECT epoch, dz, dz_low, dz_high, unit FROM places").fetchall()
+        assert database.execute("SELECT profile FROM profiles").fetchall() == [("P1",)]
     database.close()
     assert parts[-2:] == [
         (number, "site_2023", *part.volumes.net, part.area, peak)
         for number, part, peak in zip((1, 2), last.parts, (last.parts[0].largest, last.parts[1].lowest), strict=True)
     ]
     assert zones == [(zone.name, zone.volumes.fill.value) for zone in last.zones]
+    (place,) = document.places
+    assert places == [
+        (name, *change, "m") for name, change in zip(("site_2021", "site_2023"), place.changes, strict=True)
+    ]
     features = json.loads((folder / "parts.geojson").read_text())["features"]
     assert len(features) == len(parts)
 

@@ -18,7 +18,7 @@ from pcbench.io import write_cloud
 from pcbench.io.geojson import write_geojson
 from pcbench.io.geopackage import write_geopackage
 from pcbench.io.geotiff import BandText, Raster, write_geotiff
-from pcbench.io.vector import Feature, VectorLayer, polygon_within, polygons_together
+from pcbench.io.vector import Feature, VectorLayer, line_along, point_at, polygon_within, polygons_together
 from pcbench.measure.dem.difference import DemOfDifference
 from pcbench.measure.dem.outlines import outlines_of
 from pcbench.measure.dem.result import AreaHistory, EpochChange
@@ -28,6 +28,8 @@ from pcbench.report.change.words import peak
 
 MAPS = "maps"
 GEOPACKAGE = "change.gpkg"
+NO_UNIT = "1"
+"""Unit of bands that are numbers: GDAL gives a band without one the unit of the heights."""
 TREND_NAME = "trend"
 """Name of the map of the trend, which no epoch may have."""
 TREND = f"{TREND_NAME}.tif"
@@ -47,9 +49,13 @@ def write_maps(folder: Path, history: AreaHistory) -> None:
         _write_cells(path.with_suffix(".laz"), change.difference, history)
     if history.trend is not None:
         write_geotiff(folder / MAPS / TREND, _trend_raster(history.trend, history))
-    parts = [feature for change in history.changes for feature in _part_features(change, history)]
-    zones = [feature for change in history.changes for feature in _zone_features(change, history)]
-    layers = [VectorLayer("parts", parts, history.crs), *([VectorLayer("zones", zones, history.crs)] if zones else [])]
+    features = {
+        "parts": [feature for change in history.changes for feature in _part_features(change, history)],
+        "zones": [feature for change in history.changes for feature in _zone_features(change, history)],
+        "profiles": list(_profile_features(history)),
+        "places": list(_place_features(history)),
+    }
+    layers = [VectorLayer(name, each, history.crs) for name, each in features.items() if each or name == "parts"]
     write_geopackage(folder / GEOPACKAGE, layers)
     for layer in layers:
         write_geojson(folder / f"{layer.name}.geojson", layer)
@@ -67,14 +73,23 @@ def _difference_raster(difference: DemOfDifference, history: AreaHistory) -> Ras
             ),
             "significance": (
                 difference.dz / difference.sigma,
-                BandText("dz over sigma; beyond 1.96 or -1.96, dz exceeds the level of detection."),
+                BandText("dz over sigma; beyond 1.96 or -1.96, dz exceeds the level of detection.", NO_UNIT),
             ),
-            "count_before": (difference.before.counts, BandText("Number of points of the earlier epoch in the cell.")),
-            "count_after": (difference.after.counts, BandText("Number of points of the later epoch in the cell.")),
-            "filled": (difference.filled, BandText("1 where dz was interpolated from the cells around, else 0.")),
+            "count_before": (
+                difference.before.counts,
+                BandText("Points of the earlier epoch in the cell.", NO_UNIT),
+            ),
+            "count_after": (
+                difference.after.counts,
+                BandText("Points of the later epoch in the cell.", NO_UNIT),
+            ),
+            "filled": (
+                difference.filled,
+                BandText("1 where dz is from the cells around, else 0.", NO_UNIT),
+            ),
             "part": (
                 difference.parts,
-                BandText("Number of the changed part, 1 for the largest; 0 outside of parts.", overview="max"),
+                BandText("Number of the changed part, 1 for the largest; 0 outside of parts.", NO_UNIT, "max"),
             ),
             "height_after": (difference.after.heights, BandText("Height of the later epoch.", unit)),
         }
@@ -124,22 +139,34 @@ def _part_features(change: EpochChange, history: AreaHistory) -> Iterator[Featur
     for number, part in enumerate(change.parts, 1):
         outlines = outlines_of(change.difference.parts == number, history.grid)
         shape = polygons_together(polygon_within(each.outer, each.holes) for each in outlines)
-        yield Feature(shape, {"part": number, "epoch": change.epoch.name, **_properties(part)})
+        yield Feature(shape, {"part": number, "epoch": change.epoch.name, **_properties(part, history.unit)})
 
 
 def _zone_features(change: EpochChange, history: AreaHistory) -> Iterator[Feature]:
     """Yield the cells of the zones, which the volumes are those of."""
     for (name, mask), zone in zip(history.zones.items(), change.zones, strict=True):
         shape = polygons_together(polygon_within(each.outer, each.holes) for each in outlines_of(mask, history.grid))
-        yield Feature(shape, {"zone": name, "epoch": change.epoch.name, **_properties(zone)})
+        yield Feature(shape, {"zone": name, "epoch": change.epoch.name, **_properties(zone, history.unit)})
 
 
-def _properties(area: AreaChange) -> dict[str, float]:
-    """Return the values of an area as properties; units are those of the coordinates."""
+def _profile_features(history: AreaHistory) -> Iterator[Feature]:
+    for number, profile in enumerate(history.profiles, 1):
+        yield Feature(line_along(np.reshape(profile.line, (2, 2))), {"profile": f"P{number}"})
+
+
+def _place_features(history: AreaHistory) -> Iterator[Feature]:
+    for place in history.places:
+        for change, (dz, low, high) in zip(history.changes, place.changes, strict=True):
+            values = {"epoch": change.epoch.name, "dz": dz, "dz_low": low, "dz_high": high, "unit": history.unit}
+            yield Feature(point_at(np.array(place.place)), values)
+
+
+def _properties(area: AreaChange, unit: str | None) -> dict[str, float | str | None]:
+    """Return the values of an area as properties, with the unit of lengths, of which volumes have the cube."""
     volumes = {"net": area.volumes.net, "fill": area.volumes.fill, "cut": area.volumes.cut, "mean": area.mean}
     values = {
         f"{name}{end}": number
         for name, value in volumes.items()
         for end, number in zip(("", "_low", "_high"), value, strict=True)
     }
-    return {**values, "area": area.area, "peak": peak(area), "below_lod": area.undetected_share}
+    return {**values, "area": area.area, "peak": peak(area), "below_lod": area.undetected_share, "unit": unit}
