@@ -25,7 +25,7 @@ def test_the_answer_comes_first(site, run):
     code, out, err = run("change", *arguments, "--no-figures", "--json", "copy.json", "--datum-sigma", "0.01")
     assert code == 0, err
     assert out.startswith("Between site_2020 and site_2022: net +")
-    assert "cubic units" in out and "cells of 1 (as given)" in out and "report: out/" in out
+    assert "cubic units" in out and "cells of 1 (as given;" in out and "report: out/" in out
     values = json.loads((site / "copy.json").read_text())
     assert values == json.loads((site / "out" / "change.json").read_text())
     assert values["changes"][0]["errors"]["datum_sigma"] == 0.01

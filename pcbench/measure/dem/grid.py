@@ -14,6 +14,8 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 
 POINTS_PER_CELL = 4
 """Mean number of points of the sparser cloud in a cell of the default size."""
+LEAST_CELLS = 900
+"""Number of cells up to which a small area has fewer points in each."""
 MAX_CELLS = 400_000_000
 BYTES_PER_CELL = 250
 """Largest memory that a comparison of two epochs needs per cell, in bytes."""
@@ -108,12 +110,15 @@ class HeightGrid:
 def default_cell(area: float, density: float, max_cells: int = MAX_CELLS) -> float:
     """Return the edge of a cell: 1, 2 or 5 times a power of ten, with `POINTS_PER_CELL` points or more on average.
 
+    Areas of few points have about `LEAST_CELLS` cells, or one point per cell: errors are estimated from many cells.
+
     Args:
         area: area of the grid.
         density: points of the sparsest cloud per squared unit.
         max_cells: largest number of cells.
     """
-    least = math.sqrt(max(POINTS_PER_CELL / density, area / max_cells))
+    wanted = min(POINTS_PER_CELL / density, max(area / LEAST_CELLS, 1 / density))
+    least = math.sqrt(max(wanted, area / max_cells))
     exponent = math.floor(math.log10(least))
     return next(
         step * 10.0**power

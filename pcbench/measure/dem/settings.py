@@ -40,7 +40,7 @@ class ChangeSettings:
 
     Attributes:
         cell: edge of a cell, in the clouds' unit; None: 1, 2 or 5 times a power of ten, so that the sparsest cloud has
-            four points per cell on average.
+            four points per cell on average, or fewer in small areas, see `pcbench.measure.dem.grid.default_cell`.
         surface: how the points of a cell become its height.
         fill_voids: whether a cell without points in an epoch gets the mean difference of the cells around it.
         stable: file with polygons of terrain that did not change; its mean difference is subtracted from all. None: the
@@ -61,7 +61,7 @@ class ChangeSettings:
         None,
         "--cell",
         "Edge of a cell, in the clouds' unit.  [default: 1, 2 or 5 times a power of ten, with four points per cell on"
-        " average]",
+        " average, or fewer in a small area]",
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
     )

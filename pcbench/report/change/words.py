@@ -193,10 +193,14 @@ def _trend(document: ChangeDocument) -> str:
 def method_sentence(document: ChangeDocument) -> str:
     """Return how the change was measured, in one sentence."""
     settings, grid = document.settings, document.grid
-    how = "as given" if settings["cell"] is not None else "four points or more of the sparser epoch on average"
+    points = min(epoch.points / epoch.area for epoch in document.epochs) * grid.cell_area
+    origin = "as given" if settings["cell"] is not None else "by default"
+    cells = (
+        f"cells of {length_text(grid.cell, document.unit)} ({origin}; on average {points:.2g} points of the sparsest"
+    )
     return (
-        f"Heights are {METHODS[settings['surface']]}, in cells of {length_text(grid.cell, document.unit)} ({how});"
-        " volumes are the sums of their differences times the area of a cell."
+        f"Heights are {METHODS[settings['surface']]}, in {cells} epoch); volumes are the sums of their differences"
+        " times the area of a cell."
     )
 
 

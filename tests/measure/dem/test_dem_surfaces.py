@@ -34,7 +34,12 @@ def test_too_many_cells_are_refused() -> None:
 
 @pytest.mark.parametrize(("density", "cell"), [(4.0, 1.0), (3.9, 2.0), (400.0, 0.1), (0.04, 10.0), (0.9, 5.0)])
 def test_default_cell_holds_four_points_on_average(density: float, cell: float) -> None:
-    assert default_cell(1e4, density) == pytest.approx(cell)
+    assert default_cell(1e6, density) == pytest.approx(cell)
+
+
+def test_default_cell_of_a_small_area_holds_fewer_points() -> None:
+    assert default_cell(1600.0, 0.5) == 2.0  # 5 with four points per cell, which leaves 64 cells
+    assert default_cell(100.0, 0.01) == 10.0
 
 
 def test_moments_do_not_depend_on_pieces_or_order() -> None:
