@@ -114,8 +114,8 @@ def test_assumptions_of_the_intervals_in_words(document):
 def test_volumes_along_normals_in_words(document):
     last = document.changes[-1]
     volumes = CutFill(EstimatedChange(90.0, np.nan, np.nan), EstimatedChange(20.0, np.nan, np.nan), last.whole.mean)
-    for steep in (0.0, 0.3):
-        normals = NormalsRecord(volumes, last.whole.mean, 700.0, 3.0, 2.0, steep, 0.8)
+    for steep, void in ((0.0, 0.0), (0.3, 3.0)):
+        normals = NormalsRecord(volumes, last.whole.mean, 700.0, void, 2.0, 8.0, steep, 0.8)
         changed = replace(document, changes=(*document.changes[:-1], replace(last, along_normals=normals)))
         check_text(list(answer(changed))[-2])
 

@@ -86,6 +86,7 @@ class NormalsRecord:
     area: float
     void_area: float
     side: float
+    reach: float
     steep_share: float
     undetected_share: float
 
@@ -248,6 +249,7 @@ def _change(change: EpochChange, history: AreaHistory) -> ChangeRecord:
             normals.area,
             normals.void_area,
             normals.side,
+            normals.m3c2.half_length,
             normals.steep_share,
             normals.undetected_share,
         ),

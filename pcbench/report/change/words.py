@@ -9,7 +9,7 @@ from pcbench.geometry.crs import crs_label
 from pcbench.measure.dem.along_normals import STEEP_DEG
 from pcbench.measure.dem.volumes import AreaChange, EstimatedChange
 from pcbench.measure.wording import pluralize, with_unit
-from pcbench.report.change.document import ChangeDocument, ChangeRecord, EpochRecord, ErrorRecord
+from pcbench.report.change.document import ChangeDocument, ChangeRecord, EpochRecord, ErrorRecord, NormalsRecord
 from pcbench.report.words import percentage
 
 METHODS = {
@@ -175,7 +175,18 @@ def _along_normals(document: ChangeDocument, change: ChangeRecord) -> str:
         f" {area_text(normals.area, unit)} of surface (in front {measured_text(normals.volumes.fill)}, behind"
         f" {measured_text(normals.volumes.cut)}, by the sign of each place, which errors enlarge)."
         f" {percentage(normals.steep_share)} of the surface is steeper than"
-        f" {STEEP_DEG:g} degrees. {right}"
+        f" {STEEP_DEG:g} degrees. {right}{_out_of_reach(normals, unit)}"
+    )
+
+
+def _out_of_reach(normals: NormalsRecord, unit: str | None) -> str:
+    """Return which surface is in no volume along normals, because a large change may have moved it out of reach."""
+    if not normals.void_area > 0:
+        return ""
+    return (
+        f" {area_text(normals.void_area, unit)} of surface have no points of the later epoch within"
+        f" {length_text(normals.reach, unit)} along the normal and are in no volume along normals: a change may exceed"
+        " this length there."
     )
 
 
