@@ -1,0 +1,21 @@
+"""The protocols by name."""
+
+from __future__ import annotations
+
+from pcbench.errors import InputError
+from pcbench.measure.protocols.protocol import BenchmarkProtocol, parse_settings
+
+_KINDS: tuple[type[BenchmarkProtocol], ...] = ()
+PROTOCOLS = {kind.name: kind for kind in _KINDS}
+
+
+def parse_protocol(text: str) -> BenchmarkProtocol:
+    """Return the protocol of a text NAME or NAME:SETTING=VALUE,... such as `dtu:thinning=0.5`.
+
+    Raises:
+        InputError: there is no such protocol or setting, or a value is invalid.
+    """
+    name, _, settings = text.partition(":")
+    if name not in PROTOCOLS:
+        raise InputError(f"unknown protocol {name!r}: expected one of {', '.join(PROTOCOLS)}")
+    return parse_settings(PROTOCOLS[name], settings)
