@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pcbench.errors import InputError
+from pcbench.measure.protocols.dtu import Dtu
+from pcbench.measure.protocols.indoor_meshes import IndoorMeshes
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, parse_settings
 
-_KINDS: tuple[type[BenchmarkProtocol], ...] = ()
+_KINDS: tuple[type[BenchmarkProtocol], ...] = (Dtu, IndoorMeshes)
 PROTOCOLS = {kind.name: kind for kind in _KINDS}
 
 
