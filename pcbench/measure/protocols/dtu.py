@@ -189,8 +189,8 @@ class Dtu:
         ):
             if excluded and count:
                 notes.append(
-                    f"{name} leaves out {excluded:,} of {count:,} distances of {self.max_distance:g} mm and more, so"
-                    " that it does not see them"
+                    f"{name} excludes {excluded:,} of its {count:,} distances, because they are at least"
+                    f" {self.max_distance:g} mm"
                 )
         return notes
 

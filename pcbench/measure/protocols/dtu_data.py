@@ -5,17 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, describe_damage
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.files import errors_named
+from pcbench.regular_files import read_bytes
 
 _MARGIN_MM = 10  # of the published masks: the number at the end of their names
 _SCANS = range(1, 129)
+_MAX_MAT_BYTES = 2 << 30
 # Places in the folder of the archives (SampleSet.zip and Points.zip), or in one with the files alone.
 _ROOTS = ("", "MVS Data", "SampleSet/MVS Data")
 _MASK_FOLDERS = ("ObsMask", "")
@@ -109,9 +113,9 @@ def _data_file(folders: Sequence[Path], places: Sequence[str], name: str) -> Pat
             for place in places:
                 if (file := folder / root / place / name).is_file():
                     return file
-    searched = ", ".join(str(folder) for folder in folders) or "no folder"
+    searched = f" in {folders[0]}" if folders else ""
     raise InputError(
-        f"dtu: found no {name} in {searched}: name the folder of the data set, with ObsMask/ and Points/stl/, by"
+        f"dtu: found no {name}{searched}: name the folder of the data set, with ObsMask/ and Points/stl/, by"
         " --protocol-data"
     )
 
@@ -119,17 +123,17 @@ def _data_file(folders: Sequence[Path], places: Sequence[str], name: str) -> Pat
 def _read_mat(file: Path, *names: str) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    with errors_named(file):
+        content = BytesIO(read_bytes(file, _MAX_MAT_BYTES))
     try:
-        values: dict[str, Any] = loadmat(file, variable_names=names)
+        values: dict[str, Any] = loadmat(content, variable_names=names)
     except NotImplementedError:  # HDF5
         raise InputError(
             f"{file}: expected a MATLAB file of version 5 to 7, as they are published, got version 7.3 (HDF5): save it"
             " with save(..., '-v7')"
         ) from None
-    except OSError:
-        raise
     except Exception as error:  # of a damaged file, the reader raises anything
-        raise InputError(f"{file}: not a readable MATLAB file: {describe_damage(error)}") from error
+        raise InputError(f"{file}: expected a MATLAB file, got a damaged one ({error}): download it again") from error
     if missing := [name for name in names if name not in values]:
         raise InputError(
             f"{file}: expected the variable {missing[0]}, got {', '.join(k for k in values if k[0] != '_')}"

@@ -129,10 +129,10 @@ class IndoorMeshes:
         cameras = read_cameras(path)
         tolerance = self._in_unit(self.tolerance_cm) if self.occlusion else None
         ours, theirs = cull(reference, cameras, tolerance), cull(candidate, cameras, tolerance)
-        rule = f"a vertex that is hidden by less than {self.tolerance_cm:g} cm" if self.occlusion else "a vertex"
+        hidden = f" and hidden by less than {self.tolerance_cm:g} cm" if self.occlusion else ""
         note = (
-            f"culled to faces with {rule} in the frame of one of the {len(cameras):,} cameras of {path}: without"
-            f" {theirs.culled_share:.1%} of the candidate's area and {ours.culled_share:.1%} of the reference's"
+            f"culled to faces with a vertex in the frame of one of the {len(cameras):,} cameras of {path}{hidden}:"
+            f" without {theirs.culled_share:.1%} of the candidate's area and {ours.culled_share:.1%} of the reference's"
         )
         if not self.occlusion:
             note += "; occlusion is not tested (occlusion=true)"
