@@ -18,6 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice, vertex_cloud
+from pcbench.geometry.splats import means_notice
 from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
@@ -70,7 +71,9 @@ def compare_in_memory(
         check_lengths(shape, name)
     if settings.vertices:
         candidates = {name: vertex_cloud(shape) for name, shape in candidates.items()}
-    clouds = {name: sample_candidate(shape, reference, settings.seed) for name, shape in candidates.items()}
+    clouds = {
+        name: sample_candidate(shape, reference, settings.seed, settings.samples) for name, shape in candidates.items()
+    }
     step = ProgressPlan(on_step, _expected_seconds(reference, clouds, settings))
     step("indexing the reference")
     timings: dict[str, float] = {}
@@ -156,9 +159,9 @@ class PairInMemory:
 
     @property
     def sampling_notices(self) -> Sequence[Notice]:
-        """A notice if the candidate is a sampled mesh."""
+        """A notice if the candidate is a sampled mesh, or a model of splats."""
         if not isinstance(self.shape, Mesh):
-            return ()
+            return [notice] if (notice := means_notice(self.shape)) is not None else []
         scale = self.registration.T_reference_candidate.scale
         spacing = None if self.reference.target.is_sampled else self.reference.spacing
         return [sampling_notice(self.shape, self.points, self.settings.seed, scale=scale, spacing=spacing)]
@@ -253,7 +256,8 @@ class PairInMemory:
         pair = self.matched.pair if is_sampled else self._with_normals(self.matched.pair)
         to_poisson = deviation.scalars.get("poisson_distance")
         return {
-            name: measure_preset(name, pair, self.thresholds, to_poisson) for name in self.settings.measured_presets
+            name: measure_preset(name, pair, self.thresholds, to_poisson=to_poisson, mpeg_peak=self.settings.mpeg_peak)
+            for name in self.settings.measured_presets
         }
 
     def _with_normals(self, pair: CroppedPair) -> CroppedPair:

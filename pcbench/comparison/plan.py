@@ -197,6 +197,8 @@ def _unsupported(request: Request) -> str | None:
         return f"the map {settings.maps[0]} (--map)"
     if others := [name for name in settings.presets if name not in TILED_PRESETS]:
         return f"the preset {others[0]} (--preset)"
+    if settings.mpeg_peak is not None:
+        return "the preset mpeg (--mpeg-peak)"
     if settings.tolerance is not None:
         return "--tolerance"
     if settings.min_opacity is not None or settings.max_axis is not None:

@@ -136,6 +136,8 @@ class Request:
         wants_classes = settings.classes is not None or settings.returns is not None
         if wants_classes and request.sources and not any(source.has_classes for source in request.sources):
             raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
+        if settings.samples is not None and not any(map(_is_mesh, (request.reference, *request.candidates.values()))):
+            raise InputError("--sample samples points on meshes, but none of the inputs is a mesh: leave it out")
         return request
 
     @classmethod
@@ -209,6 +211,10 @@ def _open(given: Any, settings: Settings, *, vertices: bool = False) -> Input:
         with errors_named(source.path):
             return source.filtered(parse_filters(settings.classes, settings.returns))
     return given if isinstance(given, Mesh) else as_cloud(given)
+
+
+def _is_mesh(given: Input) -> bool:
+    return given.kind == "mesh" if isinstance(given, Source) else isinstance(given, Mesh)
 
 
 def _by_name(candidates: Any) -> dict[str, Any]:

@@ -11,27 +11,34 @@ from pcbench.geometry.mesh import Mesh
 SAMPLED_MESH = "sampled-mesh"
 """Code of the notice that a candidate is a mesh, measured at points sampled on its surface."""
 REFERENCE_SAMPLES = 1_000_000
+MAX_SAMPLES = 100_000_000
+"""Largest number of samples that a user may ask for."""
 # Beside a random reference cloud, ten samples per point give the reference's points a distance below their own spacing
 # in 99.9 % of cases.
-_SAMPLES_PER_POINT, _MIN_SAMPLES, _MAX_SAMPLES = 10, 100_000, 5_000_000
+_SAMPLES_PER_POINT, _MIN_DEFAULT_SAMPLES, _MAX_DEFAULT_SAMPLES = 10, 100_000, 5_000_000
 _MAX_SPACING_SHARE = 0.5  # of the reference's spacing; wider samples dominate the distances from the reference
 
 
-def sample_reference(shape: Cloud | Mesh, seed: int = 0) -> Cloud:
-    """Return a cloud unchanged, or a million points sampled on a mesh uniformly by area."""
-    return shape.sample(REFERENCE_SAMPLES, seed) if isinstance(shape, Mesh) else shape
+def sample_reference(shape: Cloud | Mesh, seed: int = 0, count: int | None = None) -> Cloud:
+    """Return a cloud unchanged, or points sampled on a mesh uniformly by area: `count`, or a million."""
+    return shape.sample(REFERENCE_SAMPLES if count is None else count, seed) if isinstance(shape, Mesh) else shape
 
 
-def sample_candidate(candidate: Cloud | Mesh, reference: Cloud | Mesh, seed: int = 0) -> Cloud:
-    """Return a cloud unchanged, or points sampled on a mesh uniformly by area.
+def sample_candidate(
+    candidate: Cloud | Mesh, reference: Cloud | Mesh, seed: int = 0, count: int | None = None
+) -> Cloud:
+    """Return a cloud unchanged, or `count` points sampled on a mesh uniformly by area.
 
-    Beside a cloud there are ten per point of the reference, between 100,000 and 5 million; beside a mesh a million.
+    If no count is given, there are ten per point of a reference cloud, between 100,000 and 5 million; beside a mesh a
+    million.
     """
     if not isinstance(candidate, Mesh):
         return candidate
-    if isinstance(reference, Mesh):
-        return candidate.sample(REFERENCE_SAMPLES, seed)
-    return candidate.sample(min(max(_SAMPLES_PER_POINT * len(reference), _MIN_SAMPLES), _MAX_SAMPLES), seed)
+    if count is None:
+        count = REFERENCE_SAMPLES
+        if not isinstance(reference, Mesh):
+            count = min(max(_SAMPLES_PER_POINT * len(reference), _MIN_DEFAULT_SAMPLES), _MAX_DEFAULT_SAMPLES)
+    return candidate.sample(count, seed)
 
 
 def vertex_cloud(shape: Cloud | Mesh) -> Cloud:
@@ -55,6 +62,7 @@ def sampling_notice(mesh: Mesh, count: int, seed: int, *, scale: float, spacing:
     if spacing is not None and sample_spacing > _MAX_SPACING_SHARE * spacing:
         text += (
             f"; they are {sample_spacing:.2g} apart, and the reference's points {spacing:.2g}, so that their spacing"
-            " adds to distances from the reference: compare more samples (pcbench convert MESH SAMPLES.ply --sample N)"
+            " adds to distances from the reference: compare more samples (pcbench compare --sample N, or pcbench"
+            " convert MESH SAMPLES.ply --sample N)"
         )
     return Notice(SAMPLED_MESH, text)

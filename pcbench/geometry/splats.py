@@ -7,14 +7,17 @@ Huang et al., "2D Gaussian Splatting for Geometrically Accurate Radiance Fields"
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 
+SPLAT_MEANS = "splat-means"
+"""Code of the notice that a candidate is a model of Gaussian splats, measured at their means."""
 _REQUIRED_ATTRIBUTES = ("opacity", "scale_0", "scale_1", "rot_0")
 _SH_DEGREES = {3 * ((degree + 1) ** 2 - 1): degree for degree in range(5)}  # keyed by the number of f_rest_* attributes
 
@@ -48,7 +51,7 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
     Opacities that all lie between 0 and 1 are used as they are; others are logits, as in trained models.
     """
     attributes = cloud.attributes
-    if not attributes.keys() >= set(_REQUIRED_ATTRIBUTES):
+    if not has_splats(attributes):
         return None
     stored = attributes["opacity"].astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):  # files may contain NaN or Inf
@@ -58,6 +61,22 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
         axes = np.exp(np.stack([attributes[name].astype(np.float64) for name in names], axis=1))
     rest = sum(name.startswith("f_rest_") for name in attributes)
     return SplatModel(len(names), _SH_DEGREES.get(rest), opacities, axes)
+
+
+def means_notice(cloud: Cloud) -> Notice | None:
+    """Return the notice that a candidate is measured at the means of its splats; None if it has no splats."""
+    if not has_splats(cloud.attributes):
+        return None
+    return Notice(
+        SPLAT_MEANS,
+        f"the candidate is a model of Gaussian splats: it is measured at the means of its {len(cloud):,} splats, which"
+        " need not lie on the surface; --min-opacity and --max-axis leave out transparent and large ones",
+    )
+
+
+def has_splats(attributes: Collection[str]) -> bool:
+    """Return whether a cloud with attributes of these names is a model of splats."""
+    return set(_REQUIRED_ATTRIBUTES) <= set(attributes)
 
 
 def is_splat_attribute(name: str) -> bool:

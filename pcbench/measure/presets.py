@@ -5,7 +5,6 @@ All of them compare complete clouds after a hard crop: both clouds lose the poin
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches, match_both_directions
 from pcbench.geometry.voxels import cell_means
 from pcbench.measure import metrics
+from pcbench.measure.library_presets import LIBRARY_PRESETS, DirectedValues, LibraryPreset, OneWay
 from pcbench.native import _core
 
 _TIE_TOLERANCE = 1e-8  # pc_error treats squared distances this close as equal
@@ -45,15 +45,6 @@ class Gao2025:
 
 
 @dataclass(frozen=True)
-class DirectedValues:
-    """Values of both directions: a = reference, b = candidate, as in MPEG's pc_error; `symmetric` is the larger."""
-
-    a_to_b: float | None = None
-    b_to_a: float | None = None
-    symmetric: float | None = None
-
-
-@dataclass(frozen=True)
 class Mpeg:
     """Metrics that MPEG's pc_error prints; peak in the clouds' unit, PSNR in dB."""
 
@@ -67,30 +58,13 @@ class Mpeg:
 
 
 @dataclass(frozen=True)
-class Open3d:
-    """Metrics that Open3D's `compute_metrics` returns."""
-
-    chamfer: float
-    hausdorff: float
-    fscore: tuple[metrics.FScore, ...]
-
-
-@dataclass(frozen=True)
-class Pdal:
-    """Metrics that PDAL prints."""
-
-    chamfer: float
-    hausdorff: float
-
-
-@dataclass(frozen=True)
 class Tnt:
     """F-scores of Tanks and Temples."""
 
     fscore: tuple[metrics.FScore, ...]
 
 
-Preset = Gao2025 | Mpeg | Open3d | Pdal | Tnt
+Preset = Gao2025 | Mpeg | Tnt | LibraryPreset
 
 
 class CroppedPair(NamedTuple):
@@ -108,10 +82,30 @@ class CroppedPair(NamedTuple):
 
 
 def measure_preset(
-    name: str, pair: CroppedPair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
+    name: str,
+    pair: CroppedPair,
+    thresholds: tuple[float, ...],
+    *,
+    to_poisson: FloatArray | None = None,
+    mpeg_peak: float | None = None,
 ) -> Preset:
-    """Compute the preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
-    return _DEFINITIONS[name](pair, thresholds, to_poisson)
+    """Compute the preset of that name.
+
+    Args:
+        name: one of `NAMES`.
+        pair: the clouds.
+        thresholds: thresholds of F-scores.
+        to_poisson: distances (M,) to the reference's Poisson mesh, if there is one.
+        mpeg_peak: peak of MPEG's PSNR; None: see `mpeg`.
+    """
+    if name == "gao2025":
+        return gao2025(pair, to_poisson)
+    if name == "mpeg":
+        return mpeg(pair, mpeg_peak)
+    if name == "tnt":
+        return tnt(pair, thresholds)
+    forth, back = (OneWay.of(matches.distances, thresholds) for matches in (pair.to_reference, pair.to_candidate))
+    return LIBRARY_PRESETS[name](forth, back, thresholds)
 
 
 def match(
@@ -154,25 +148,6 @@ def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
     )
 
 
-def open3d(pair: CroppedPair, thresholds: tuple[float, ...]) -> Open3d:
-    """Compute what Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer, Hausdorff, F-scores."""
-    a, b = pair.to_reference.distances, pair.to_candidate.distances
-    return Open3d(
-        chamfer=metrics.chamfer_unsquared(a, b),
-        hausdorff=metrics.hausdorff(a, b),
-        fscore=tuple(metrics.fscore(a, b, threshold) for threshold in thresholds),
-    )
-
-
-def pdal(pair: CroppedPair) -> Pdal:
-    """Compute what `pdal chamfer` and `pdal hausdorff` print: the SUM of squares, and the largest distance."""
-    a, b = pair.to_reference.distances, pair.to_candidate.distances
-    return Pdal(
-        chamfer=float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
-        hausdorff=metrics.hausdorff(a, b),
-    )
-
-
 def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
     """Compute F-scores as in Tanks and Temples (Knapitsch et al. 2017).
 
@@ -192,14 +167,18 @@ def _voxel_down(points: FloatArray, side: float) -> FloatArray:
     return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
-def mpeg(pair: CroppedPair) -> Mpeg:
+def mpeg(pair: CroppedPair, peak: float | None = None) -> Mpeg:
     """Compute the metrics of MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate.
 
     Hausdorff distances are SQUARED. Duplicate points are merged first. D2 uses the target's normals; the candidate's
-    are averages of the reference's, neither oriented nor normalised again. Ties are averaged. The peak is the largest
-    distance from a reference point to its nearest neighbour. Coordinate differences are rounded to float32 as in
-    pc_error, to match its printed digits. The coordinates themselves are not rounded: at UTM offsets, its float32 has
-    errors of up to several per cent.
+    are averages of the reference's, neither oriented nor normalised again. Ties are averaged. Coordinate differences
+    are rounded to float32 as in pc_error, to match its printed digits. The coordinates themselves are not rounded: at
+    UTM offsets, its float32 has errors of up to several per cent.
+
+    Args:
+        pair: the clouds.
+        peak: peak p of the PSNR 10 log10(3 p^2 / mse), in the clouds' unit: pc_error's `--resolution`, such as 1023 for
+            coordinates of ten bits. None: the largest distance from a reference point to its nearest neighbour.
     """
     pair = _merge_duplicates(pair)
     a, b = pair.reference.points, pair.candidate.points
@@ -211,7 +190,8 @@ def mpeg(pair: CroppedPair) -> Mpeg:
         ba = _all_nearest(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
         normals_b = _averaged_normals(normals, ab, ba, len(b))
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
-    peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
+    if peak is None:
+        peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
     def both_ways(squares: list[FloatArray]) -> DirectedValues:
         if not squares:
@@ -303,12 +283,5 @@ def _has_duplicates(points: FloatArray) -> bool:
     return bool((key[1:] == key[:-1]).any())
 
 
-_DEFINITIONS: dict[str, Callable[[CroppedPair, tuple[float, ...], FloatArray | None], Preset]] = {
-    "gao2025": lambda pair, _, to_poisson: gao2025(pair, to_poisson),
-    "mpeg": lambda pair, *_: mpeg(pair),
-    "open3d": lambda pair, thresholds, _: open3d(pair, thresholds),
-    "pdal": lambda pair, *_: pdal(pair),
-    "tnt": lambda pair, thresholds, _: tnt(pair, thresholds),
-}
-NAMES = tuple(_DEFINITIONS)
+NAMES = ("gao2025", "mpeg", "tnt", *LIBRARY_PRESETS)
 ALWAYS = ("gao2025", "mpeg")  # reported with every comparison

@@ -15,7 +15,8 @@ from pcbench.measure.budget import PARTS
 from pcbench.measure.deviation import M3C2, Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
-from pcbench.measure.presets import DirectedValues, Preset
+from pcbench.measure.library_presets import DirectedValues
+from pcbench.measure.presets import Preset
 from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 

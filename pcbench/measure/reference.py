@@ -65,7 +65,7 @@ class Reference:
         Raises:
             InputError: the crop cannot be read, or contains no points.
         """
-        cloud = sample_reference(given, settings.seed)
+        cloud = sample_reference(given, settings.seed, settings.samples)
         origin = local_origin(cloud)
         points = cloud.points - origin
         region = as_region(settings.crop, cloud)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.mesh_samples import MAX_SAMPLES
 from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.region_text import region_file
 from pcbench.geometry.regions import Region
@@ -39,6 +40,8 @@ from pcbench.registration.control_points import fit_pairs
 from pcbench.registration.given import method_file
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
+RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints")
+"""Settings that are stored only if they are set."""
 _THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
 
 
@@ -63,6 +66,9 @@ class Settings:
         classes, returns: LAS classes and returns to keep, see `pcbench.read_cloud`.
         min_opacity, max_axis: limits for keeping Gaussian splats, see `pcbench.read_cloud`.
         vertices: whether candidate meshes are measured at their vertices rather than at points sampled on their faces.
+        samples: number of points sampled on each mesh; None: see `pcbench.geometry.mesh_samples`.
+        mpeg_peak: peak of MPEG's PSNR in the clouds' unit, the `--resolution` of pc_error; None: the largest distance
+            between nearest neighbours in the reference.
         tolerance: for large clouds: estimate D2 from a random sample that is large enough for a 95 % confidence
             interval of each mean square within this share of it, such as 0.01. Distances to points are exact. None:
             measure D2 at all points.
@@ -85,7 +91,8 @@ class Settings:
     presets: tuple[str, ...] = setting(
         (),
         "--preset",
-        "Also compute metrics as defined by open3d, pdal or tnt (repeatable); gao2025 and mpeg are always computed.",
+        "Also compute metrics as defined by open3d, pytorch3d, kaolin, point-cloud-utils, pdal or tnt (repeatable);"
+        " gao2025 and mpeg are always computed.",
         metavar="NAME",
         is_repeatable=True,
     )
@@ -146,7 +153,21 @@ class Settings:
         "--vertices",
         VERTICES_HELP,
     )
-
+    samples: int | None = setting(
+        None,
+        "--sample",
+        "Number of points sampled on each mesh, uniformly by area.  [default: a million on a reference, and ten per"
+        " point of the reference on a candidate, 100,000 to 5 million]",
+        bounds=Bounds(int, 1, MAX_SAMPLES),
+    )
+    mpeg_peak: float | None = setting(
+        None,
+        "--mpeg-peak",
+        "Peak of MPEG's PSNR, the --resolution of pc_error, such as 1023.  [default: the largest distance between"
+        " nearest neighbours in the reference]",
+        metavar="LENGTH",
+        bounds=Bounds(float, 0, is_open=True),
+    )
     checkpoints: str | None = setting(
         None,
         "--checkpoints",
@@ -171,6 +192,10 @@ class Settings:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
         if not isinstance(self.vertices, bool):
             raise InputError(f"expected vertices as True or False, got {self.vertices!r}")
+        if self.samples is not None and not (_is_integer(self.samples) and 1 <= self.samples <= MAX_SAMPLES):
+            raise InputError(f"expected 1 to {MAX_SAMPLES:,} samples on a mesh, got {self.samples!r}")
+        if self.mpeg_peak is not None and not (_is_number(self.mpeg_peak) and 0 < self.mpeg_peak < np.inf):
+            raise InputError(f"expected the peak of MPEG's PSNR as a length above 0, got {self.mpeg_peak!r}")
         check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
         if unknown := [name for name in wanted if name not in presets.NAMES]:
@@ -247,12 +272,9 @@ class Settings:
     def plain(self) -> dict[str, Any]:
         """Return the settings as JSON values: methods and regions as text; rare ones only if they are set."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
-        if self.tolerance is None:
-            del values["tolerance"]
-        if not self.vertices:
-            del values["vertices"]
-        if self.checkpoints is None:
-            del values["checkpoints"]
+        for name in RARE_SETTINGS:
+            if values[name] in (None, False):
+                del values[name]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
         values["presets"] = self.measured_presets
@@ -301,6 +323,10 @@ def _positive(values: Any) -> list[float]:
         got = ", ".join(map(str, values)) if isinstance(values, tuple | list) and values else repr(values)
         raise InputError(f"expected thresholds as one or more lengths above 0, such as 0.1 and 0.5; got {got}")
     return numbers
+
+
+def _is_number(value: Any) -> bool:
+    return _is_integer(value) or isinstance(value, float | np.floating)
 
 
 def _is_integer(value: Any) -> bool:

@@ -18,7 +18,7 @@ from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.presets import ALWAYS
-from pcbench.measure.settings import Settings
+from pcbench.measure.settings import RARE_SETTINGS, Settings
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
 
@@ -37,7 +37,7 @@ _TILING_KINDS: dict[str, Any] = {
 def record(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
-    for name in ("initial", "tolerance", "vertices", "checkpoints"):
+    for name in ("initial", *RARE_SETTINGS):
         if values[name] in (None, False):
             del values[name]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):

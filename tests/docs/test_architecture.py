@@ -40,7 +40,7 @@ def test_named_objects_exist():
         ("pcbench/measure/quantities.py", "_PARTS"),
         ("pcbench/report/layout.py", "LABELS"),
         ("pcbench/report/layout.py", "HEADLINES"),
-        ("pcbench/measure/presets.py", "_DEFINITIONS"),
+        ("pcbench/measure/library_presets.py", "LIBRARY_PRESETS"),
         ("pcbench/registration/methods.py", "def parse_method("),
         ("pyproject.toml", '[project.entry-points."pcbench.reconstructors"]'),
     ):

@@ -13,6 +13,7 @@ from pcbench import Settings, TilingSettings, compare, deform, register
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import SAMPLED_MESH, sample_candidate
+from pcbench.geometry.splats import SPLAT_MEANS
 from pcbench.io.ply import write_ply_mesh
 from pcbench.report import document
 
@@ -24,7 +25,7 @@ UNREGISTERED = Settings("none", thresholds=(0.03,), seed=3)
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
-    monkeypatch.setattr("pcbench.geometry.mesh_samples._MIN_SAMPLES", 1000)
+    monkeypatch.setattr("pcbench.geometry.mesh_samples._MIN_DEFAULT_SAMPLES", 1000)
     monkeypatch.setattr("pcbench.geometry.mesh_samples.REFERENCE_SAMPLES", 20_000)
 
 
@@ -83,8 +84,44 @@ def test_the_number_of_samples(mesh):
     assert len(sample_candidate(mesh, mesh)) == 20_000
 
 
+def test_a_given_number_of_samples(mesh, reference, files, run, tmp_path):
+    comparison = compare(reference, [mesh], UNREGISTERED, samples=7000)
+    [found] = comparison
+    assert found.points == 7000 and "measured at 7,000 points" in str(found.warnings[0])
+    assert document(comparison)["settings"]["samples"] == 7000
+    both = compare(mesh, [mesh], UNREGISTERED, samples=500)
+    assert (both.reference.points, both.candidates[0].points) == (500, 500)
+    arguments = ("compare", *files, "--register", "none", "--sample", "900", "--json", tmp_path / "a.json")
+    assert run(*arguments)[0] == 0
+    assert json.loads((tmp_path / "a.json").read_text())["candidates"][0]["points"] == 900
+    for samples in (0, 10**9, 2.5, True):
+        with check_error():
+            Settings(samples=samples)
+    with check_error():
+        compare(reference, [reference], UNREGISTERED, samples=100)
+
+
+def test_a_sampled_mesh_has_another_score_than_its_vertices(mesh):
+    """Samples show that a coarse mesh is right; its vertices do not cover the surface."""
+    dense, settings = mesh.sample(8000, seed=1), Settings("none", thresholds=(0.1,))
+    sampled, vertices = (compare(dense, [mesh], settings, vertices=value).candidates[0] for value in (False, True))
+    assert sampled.metrics.fscores[0].fscore.value > 0.97
+    assert vertices.metrics.fscores[0].fscore.value < 0.2
+    assert SAMPLED_MESH in codes(sampled.warnings) and SAMPLED_MESH not in codes(vertices.warnings)
+
+
+def test_splats_are_measured_at_their_means(reference):
+    count = len(reference)
+    attributes = dict.fromkeys(("opacity", "scale_0", "scale_1", "scale_2", "rot_0"), np.zeros(count, np.float32))
+    splats = Cloud(reference.points + 0.01, unit="m", attributes=attributes)
+    [found] = compare(reference, [splats], UNREGISTERED)
+    notice = next(notice for notice in found.warnings if notice.code == SPLAT_MEANS)
+    check_text(notice)
+    assert SPLAT_MEANS not in codes(compare(splats, [reference], UNREGISTERED).candidates[0].warnings)
+
+
 def test_samples_too_far_apart_for_the_reference(mesh, reference, monkeypatch):
-    monkeypatch.setattr("pcbench.geometry.mesh_samples._MAX_SAMPLES", 2000)
+    monkeypatch.setattr("pcbench.geometry.mesh_samples._MAX_DEFAULT_SAMPLES", 2000)
     [found] = compare(reference, [mesh], UNREGISTERED)
     check_text(found.warnings[0])
 

@@ -1,6 +1,7 @@
 """Presets: the same values as other tools print for the same aligned pair."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import oracles
@@ -8,9 +9,10 @@ import pytest
 import shapes
 from data_folder import data_folder
 from optional import import_or_skip
-from wording import check_error
+from wording import check_error, check_text
 
-from pcbench import Cloud, Settings, compare, read_cloud
+from pcbench import Cloud, Settings, compare, read_cloud, write_cloud
+from pcbench.measure.library_presets import LIBRARY_PRESETS, OneWay
 
 pytestmark = pytest.mark.usefixtures("without_deformation")
 
@@ -111,6 +113,34 @@ def test_open3d_preset_equals_open3d():
     assert [100 * row.fscore for row in result.fscore] == pytest.approx(fscores, rel=1e-5)
 
 
+def test_a_given_peak_changes_the_psnr_alone():
+    folder = data_folder("dmetric")
+    clouds = [read_cloud(folder / f"wave_{name}.ply") for name in "ab"]
+    computed, given = (compute_preset("mpeg", *clouds, mpeg_peak=peak) for peak in (None, 1023))
+    assert given.peak == 1023
+    assert given.d1_psnr == pytest.approx(10 * np.log10(3 * 1023**2 / computed.d1_mse.symmetric), rel=1e-12)
+    assert given.d2_psnr == pytest.approx(10 * np.log10(3 * 1023**2 / computed.d2_mse.symmetric), rel=1e-12)
+    assert replace(given, peak=computed.peak, d1_psnr=computed.d1_psnr, d2_psnr=computed.d2_psnr) == computed
+
+
+def test_a_given_peak_is_stored_and_shown(tmp_path, run):
+    a, b = shapes.terrain(200, seed=3)[0], shapes.terrain(200, seed=4)[0]
+    for name, points in (("a", a), ("b", b)):
+        write_cloud(tmp_path / f"{name}.ply", Cloud(points))
+    arguments = ["compare", tmp_path / "a.ply", tmp_path / "b.ply", "--register", "none", "--full"]
+    code, out, _ = run(*arguments, "--mpeg-peak", "1023", "--json", tmp_path / "a.json")
+    assert code == 0
+    check_text(next(line for line in out.splitlines() if "mpeg: peak" in line), masked=False)
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["settings"]["mpeg_peak"] == 1023
+    assert document["candidates"][0]["metrics"]["presets"]["mpeg"]["peak"] == 1023
+    for peak in ("0", "nan"):
+        assert run(*arguments, "--mpeg-peak", peak)[0] == 2
+    for peak in (-1, float("inf"), "1023", True):
+        with check_error():
+            Settings(mpeg_peak=peak)
+
+
 def test_identical_clouds_have_no_psnr():
     a = shapes.terrain(200)[0]
     result = compute_preset("mpeg", a, a)
@@ -134,6 +164,59 @@ def test_pdal_preset_equals_the_output_of_pdal():
 def test_pdal_preset_equals_brute_force():
     a, b = shapes.terrain(300, seed=3)[0], shapes.terrain(200, seed=4)[0]
     assert compute_preset("pdal", a, b).chamfer == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
+
+
+def one_way(a, b, thresholds=()):
+    """Distances of the points b to a and of a to b: candidate → reference, and back."""
+    distances = np.linalg.norm(a[:, None] - b, axis=2)
+    return OneWay.of(distances.min(axis=0), thresholds), OneWay.of(distances.min(axis=1), thresholds)
+
+
+def test_point_cloud_utils_preset_equals_the_library():
+    rng = np.random.default_rng(12)
+    a, b = rng.random((60, 3)).round(6), (rng.random((50, 3)) + [0, 0, 0.1]).round(6)
+    result = LIBRARY_PRESETS["point-cloud-utils"](*one_way(a, b), ())
+    # Printed by point-cloud-utils 0.34.0: chamfer_distance(a, b), hausdorff_distance(a, b), and
+    # one_sided_hausdorff_distance of (a, b) and (b, a).
+    assert result.chamfer == pytest.approx(0.31124784308929027, rel=1e-14)
+    assert result.hausdorff == pytest.approx(0.39152709864580254, rel=1e-14)
+    assert result.one_sided_hausdorff.a_to_b == pytest.approx(0.39152709864580254, rel=1e-14)
+    assert result.one_sided_hausdorff.b_to_a == pytest.approx(0.31435833136724717, rel=1e-14)
+
+
+def test_kaolin_preset_equals_the_examples_in_its_documentation():
+    """The values are those in the docstrings of `chamfer_distance` and `f_score`, Kaolin 0.17, printed in float32."""
+    first = np.array([[8.8977, 4.1709, 1.2839], [8.5640, 7.7767, 9.4214]])
+    chamfer = LIBRARY_PRESETS["kaolin"](
+        *one_way(first, np.array([[6.9340, 6.1152, 3.4435], [0.1032, 9.8181, 11.3350]])), ()
+    )
+    assert chamfer.chamfer == pytest.approx(72.5838, rel=1e-6)
+    for truth, predicted, expected in (
+        (first, [[9.4863, 4.2249, 0.1712], [8.1783, 8.5310, 8.5119]], (0.0, 1.0)),
+        ([[0.5431, 6.4495, 11.4914], [3.2126, 8.0865, 3.1018]],
+         [[-0.0020699, 6.4429, 12.3], [3.8386, 8.3585, 4.7662]], (0.5, 0.5)),
+    ):  # fmt: skip
+        ways = one_way(np.array(truth), np.array(predicted), (1.0, 1.5))
+        scores = LIBRARY_PRESETS["kaolin"](*ways, (1.0, 1.5)).fscore
+        assert [round(row.fscore, 4) for row in scores] == list(expected)
+
+
+def test_presets_of_libraries_equal_their_formulas():
+    a, b = shapes.terrain(300, seed=3)[0], shapes.terrain(200, seed=4)[0] + [0, 0, 0.1]
+    forth, back = (np.linalg.norm(a[:, None] - b, axis=2).min(axis=axis) for axis in (0, 1))
+    pytorch3d = compute_preset("pytorch3d", a, b)
+    assert pytorch3d.chamfer == pytest.approx(np.mean(forth**2) + np.mean(back**2), rel=1e-12)
+    assert pytorch3d.single_directional.a_to_b == pytest.approx(np.mean(back**2), rel=1e-12)
+    assert pytorch3d.single_directional.b_to_a == pytest.approx(np.mean(forth**2), rel=1e-12)
+    kaolin = compute_preset("kaolin", a, b, thresholds=(0.8,))
+    assert kaolin.chamfer == pytorch3d.chamfer
+    assert kaolin.chamfer_unsquared == pytest.approx(forth.mean() + back.mean(), rel=1e-12)
+    hits, misses = np.count_nonzero(forth <= 0.8), np.count_nonzero(back > 0.8)
+    [row] = kaolin.fscore
+    assert (row.precision, row.recall) == pytest.approx((hits / len(b), hits / (hits + misses)), rel=1e-12)
+    assert misses > 0 and row.recall != pytest.approx(np.mean(back <= 0.8), rel=1e-3)  # not the usual recall
+    utils = compute_preset("point-cloud-utils", a, b)
+    assert (utils.chamfer, utils.hausdorff) == (kaolin.chamfer_unsquared, max(forth.max(), back.max()))
 
 
 def test_tnt_preset_equals_downsampling_by_open3d():

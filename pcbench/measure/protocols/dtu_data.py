@@ -126,7 +126,7 @@ def _read_mat(file: Path, *names: str) -> dict[str, Any]:
     with errors_named(file):
         content = BytesIO(read_bytes(file, _MAX_MAT_BYTES))
     try:
-        values: dict[str, Any] = loadmat(content, variable_names=names)
+        values: dict[str, Any] = loadmat(content, variable_names=names)  # type: ignore[arg-type]  # accepts files
     except NotImplementedError:  # HDF5
         raise InputError(
             f"{file}: expected a MATLAB file of version 5 to 7, as they are published, got version 7.3 (HDF5): save it"

@@ -10,8 +10,8 @@ import numpy as np
 
 from pcbench.geometry.regions import Region
 from pcbench.measure.directions import PLANE_METRIC
-from pcbench.measure.metrics import FScore, harmonic_mean
-from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
+from pcbench.measure.library_presets import LIBRARY_PRESETS, OneWay
+from pcbench.measure.presets import Gao2025, Preset
 from pcbench.measure.summaries import within_key
 from pcbench.measure.tiled.columns import column_file, load_column, save_column
 from pcbench.measure.tiled.directions import MeasuredDirection, TiledPair, measure_tiles
@@ -96,20 +96,23 @@ def presets_of(
         thresholds: distance thresholds of the F-score, those of both totals.
         names: names of presets.
     """
-    assert forth.farthest is not None and back.farthest is not None
-    largest = max(forth.farthest.distance, back.farthest.distance)
-    d1_forth, d1_back = (way.by_cell.mean("d1_mse") for way in (forth, back))
+    accuracy, completeness = _one_way(forth, thresholds), _one_way(back, thresholds)
     for name in names:
         if name == "gao2025":
             d2 = forth.by_cell.mean(PLANE_METRIC) if forth.has_planes else None
-            yield name, Gao2025(d1_forth, d2, None, largest, d1_forth + d1_back, d1_back)
-        elif name == "open3d":
-            chamfer = forth.by_cell.mean("mean_distance") + back.by_cell.mean("mean_distance")
-            yield name, Open3d(chamfer, largest, tuple(_fscore(forth, back, value) for value in thresholds))
-        elif name == "pdal":
-            yield name, Pdal(forth.distances.count * d1_forth + back.distances.count * d1_back, largest)
+            largest = max(accuracy.largest, completeness.largest)
+            d1, d1_back = accuracy.mean_square, completeness.mean_square
+            yield name, Gao2025(d1, d2, None, largest, d1 + d1_back, d1_back)
+        else:
+            yield name, LIBRARY_PRESETS[name](accuracy, completeness, thresholds)
 
 
-def _fscore(forth: DirectionTotals, back: DirectionTotals, threshold: float) -> FScore:
-    precision, recall = (way.by_cell.mean(within_key(threshold)) for way in (forth, back))
-    return FScore(threshold, precision, recall, harmonic_mean(precision, recall))
+def _one_way(totals: DirectionTotals, thresholds: Sequence[float]) -> OneWay:
+    assert totals.farthest is not None
+    return OneWay(
+        totals.distances.count,
+        totals.by_cell.mean("mean_distance"),
+        totals.by_cell.mean("d1_mse"),
+        totals.farthest.distance,
+        tuple(totals.by_cell.mean(within_key(threshold)) for threshold in thresholds),
+    )

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcbench.errors import InputError
+from pcbench.measure.library_presets import LIBRARY_PRESETS
 from pcbench.options import Bounds, setting
 from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
 _MIN_MEMORY = 1_000_000  # less is a number without its unit
-TILED_PRESETS = ("gao2025", "open3d", "pdal")
+TILED_PRESETS = ("gao2025", *LIBRARY_PRESETS)
 """Presets that are computed in tiles."""
 _SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", re.IGNORECASE)
 _FACTORS = {"": 1, "b": 1}
