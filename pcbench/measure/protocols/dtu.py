@@ -196,7 +196,7 @@ class Dtu:
 
 
 class _Scan(NamedTuple):
-    """What the data set has for one scan."""
+    """Contents of the data set for one scan."""
 
     mask: ObservationMask
     plane: FloatArray  # (4,)
