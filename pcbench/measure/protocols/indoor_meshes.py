@@ -17,7 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.mesh_samples import vertex_cloud
+from pcbench.geometry.mesh_samples import MAX_SAMPLES, vertex_cloud
 from pcbench.geometry.neighbors import Index, match_both_directions
 from pcbench.geometry.regions import Region
 from pcbench.geometry.units import metres
@@ -69,8 +69,8 @@ class IndoorMeshes:
     def __post_init__(self) -> None:
         if self.variant not in _VARIANTS:
             raise InputError(f"mesh: expected variant as one of {', '.join(_VARIANTS)}; got {self.variant!r}")
-        if self.samples < 1:
-            raise InputError(f"mesh: expected at least one sample, got {self.samples}")
+        if not 1 <= self.samples <= MAX_SAMPLES:
+            raise InputError(f"mesh: expected 1 to {MAX_SAMPLES:,} samples, got {self.samples:,}")
         if metres(self.unit) is None:
             raise InputError(f"mesh: expected unit as a unit of length such as m, cm or ft; got {self.unit!r}")
         for name in ("voxel_cm", "threshold_cm", "tolerance_cm"):
