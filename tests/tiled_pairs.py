@@ -13,10 +13,10 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.measure.quantities import quantities
 from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 
 # Sums of other orders round differently; everything else is equal in all bits.
-SUMS = ("mse", "mean", "rms", "bias", "std", "chamfer", "sum_", "area_weighted", "budget")
+SUMS = ("mse", "mean", "rms", "bias", "std", "chamfer", "sum_", "area_weighted", "budget", "single_directional")
 
 
 def numbers(candidate):
@@ -85,7 +85,7 @@ class Pair:
         for name, cloud in zip(("ref", "a", "b"), (reference, *candidates), strict=False):
             self.paths[name] = folder / f"{name}.ply"
             write_cloud(self.paths[name], cloud if isinstance(cloud, Cloud) else Cloud(np.asarray(cloud, float)))
-        self.settings = Settings(**({"register": "none", "presets": ("gao2025", "open3d", "pdal")} | settings))
+        self.settings = Settings(**({"register": "none", "presets": TILED_PRESETS} | settings))
 
     def tiled(self, work="work", maps=None, settings=None, **tiling):
         workspace = self.folder / work

@@ -146,6 +146,7 @@ def test_what_tiles_do_not_support_stays_in_memory_unless_they_are_requested(run
         ("--map", "poisson"),
         ("--preset", "tnt"),
         ("--preset", "mpeg"),
+        ("--mpeg-peak", "1023"),
         ("--tolerance", "1%"),
         ("--min-opacity", "0.5"),
         ("--max-axis", "0.5"),

@@ -185,7 +185,7 @@ def test_point_cloud_utils_preset_equals_the_library():
 
 
 def test_kaolin_preset_equals_the_examples_in_its_documentation():
-    """The values are those in the docstrings of `chamfer_distance` and `f_score`, Kaolin 0.17, printed in float32."""
+    """The values are those in the docstrings of `chamfer_distance` and `f_score`, printed in float32."""
     first = np.array([[8.8977, 4.1709, 1.2839], [8.5640, 7.7767, 9.4214]])
     chamfer = LIBRARY_PRESETS["kaolin"](
         *one_way(first, np.array([[6.9340, 6.1152, 3.4435], [0.1032, 9.8181, 11.3350]])), ()

@@ -139,7 +139,7 @@ class Dtu:
     def _mean_distance(self, queries: FloatArray, targets: Index | None) -> tuple[float | None, int]:
         """Return the mean of the distances that count, None if there are none, and the number of the others."""
         if targets is None or not len(queries):
-            return None, len(queries)
+            return None, 0
         distances = targets.query_index(Index(queries)).distances
         counting = distances < self.max_distance
         mean = float(distances[counting].mean()) if counting.any() else None
