@@ -18,7 +18,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice, vertex_cloud
-from pcbench.geometry.splats import means_notice
+from pcbench.geometry.splats import has_splats, means_notice
 from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
@@ -161,7 +161,7 @@ class PairInMemory:
     def sampling_notices(self) -> Sequence[Notice]:
         """A notice if the candidate is a sampled mesh, or a model of splats."""
         if not isinstance(self.shape, Mesh):
-            return [notice] if (notice := means_notice(self.shape)) is not None else []
+            return [means_notice(self.points)] if has_splats(self.shape.attributes) else []
         scale = self.registration.T_reference_candidate.scale
         spacing = None if self.reference.target.is_sampled else self.reference.spacing
         return [sampling_notice(self.shape, self.points, self.settings.seed, scale=scale, spacing=spacing)]

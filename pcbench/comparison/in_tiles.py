@@ -27,6 +27,7 @@ from pcbench.comparison.plan import CloudsOnDisk
 from pcbench.comparison.result import Comparison
 from pcbench.deformation import Deformation, SeparatedChanges
 from pcbench.errors import Notice, PcbenchError
+from pcbench.geometry.splats import means_notice
 from pcbench.geometry.voxels import robust_extent
 from pcbench.measure.budget import FitFrame
 from pcbench.measure.deviation import DeviationMap, Spread
@@ -280,8 +281,8 @@ class PairInTiles:
 
     @property
     def sampling_notices(self) -> Sequence[Notice]:
-        """Points of clouds are not sampled."""
-        return ()
+        """A notice if the candidate is a model of splats."""
+        return [means_notice(self.points)] if self.cloud.source.has_splats else []
 
     @cached_property
     def tile_summaries(self) -> list[TileSummary]:

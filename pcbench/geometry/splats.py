@@ -63,14 +63,12 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
     return SplatModel(len(names), _SH_DEGREES.get(rest), opacities, axes)
 
 
-def means_notice(cloud: Cloud) -> Notice | None:
-    """Return the notice that a candidate is measured at the means of its splats; None if it has no splats."""
-    if not has_splats(cloud.attributes):
-        return None
+def means_notice(count: int) -> Notice:
+    """Return the notice that a candidate is measured at the means of its `count` splats."""
     return Notice(
         SPLAT_MEANS,
-        f"the candidate is a model of Gaussian splats: it is measured at the means of its {len(cloud):,} splats, which"
-        " need not lie on the surface; --min-opacity and --max-axis leave out transparent and large ones",
+        f"the candidate is a model of Gaussian splats: it is measured at the means of its {count:,} splats, which need"
+        " not lie on the surface; --min-opacity and --max-axis leave out transparent and large ones",
     )
 
 

@@ -110,14 +110,18 @@ def test_a_sampled_mesh_has_another_score_than_its_vertices(mesh):
     assert SAMPLED_MESH in codes(sampled.warnings) and SAMPLED_MESH not in codes(vertices.warnings)
 
 
-def test_splats_are_measured_at_their_means(reference):
+def test_splats_are_measured_at_their_means(reference, tmp_path):
     count = len(reference)
     attributes = dict.fromkeys(("opacity", "scale_0", "scale_1", "scale_2", "rot_0"), np.zeros(count, np.float32))
     splats = Cloud(reference.points + 0.01, unit="m", attributes=attributes)
     [found] = compare(reference, [splats], UNREGISTERED)
-    notice = next(notice for notice in found.warnings if notice.code == SPLAT_MEANS)
-    check_text(notice)
+    check_text(next(notice for notice in found.warnings if notice.code == SPLAT_MEANS))
     assert SPLAT_MEANS not in codes(compare(splats, [reference], UNREGISTERED).candidates[0].warnings)
+    for name, cloud in (("a", reference), ("b", splats)):
+        pcbench.write_cloud(tmp_path / f"{name}.ply", cloud)
+    tiling = TilingSettings(5000, workers=1)
+    [tiled] = compare(tmp_path / "a.ply", tmp_path / "b.ply", UNREGISTERED, tiling=tiling, workspace=tmp_path / "work")
+    assert SPLAT_MEANS in codes(tiled.warnings)
 
 
 def test_samples_too_far_apart_for_the_reference(mesh, reference, monkeypatch):

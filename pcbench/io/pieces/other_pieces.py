@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 
 from pcbench.geometry.arrays import bounds
+from pcbench.geometry.splats import has_splats
 from pcbench.io.e57 import no_points_error, read_e57_header, read_e57_scan
 from pcbench.io.ept import EptNode, has_node_normals, read_hierarchy, read_index, read_nodes
 from pcbench.io.files import Fields, Warn, finite_cloud
@@ -40,7 +41,8 @@ def describe_ply(
     normals = has_normals(path, rows)
     point_bytes = _COORDINATE_BYTES + _NORMAL_BYTES * normals + rows.dtype.itemsize
     crs, unit = rows.header.tag_value("crs"), rows.header.tag_value("unit")
-    file = CloudFile(path, rows.count, None, None, crs, unit, normals, rows.count * point_bytes)
+    splats = has_splats(rows.dtype.names or ())
+    file = CloudFile(path, rows.count, None, None, crs, unit, normals, rows.count * point_bytes, has_splats=splats)
     return file, split(rows.count, piece_points)
 
 
@@ -128,7 +130,8 @@ def _describe(fields: Fields, path: Path) -> tuple[CloudFile, list[Part]]:
     low, high = map(as_corner, bounds(cloud.points))
     columns = cloud.points, cloud.normals, cloud.colors, *cloud.attributes.values()
     nbytes = sum(values.nbytes for values in columns if values is not None)
-    file = CloudFile(path, count, low, high, cloud.crs, cloud.unit, cloud.normals is not None, nbytes)
+    normals, splats = cloud.normals is not None, has_splats(cloud.attributes)
+    file = CloudFile(path, count, low, high, cloud.crs, cloud.unit, normals, nbytes, has_splats=splats)
     return file, [Part(count, ())]
 
 

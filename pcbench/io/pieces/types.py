@@ -42,6 +42,7 @@ class CloudFile:
         has_normals: whether its points have normals.
         nbytes_in_memory: estimated bytes of the `pcbench.Cloud` that `read_cloud` returns for it.
         las_header: header of LAS, LAZ or COPC, with which the points are compared; None for other formats.
+        has_splats: whether its points are the means of Gaussian splats.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class CloudFile:
     has_normals: bool = False
     nbytes_in_memory: int = 0
     las_header: LasHeader | None = field(default=None, repr=False, compare=False)
+    has_splats: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,11 @@ class CloudOnDisk:
     def count(self) -> int:
         """Number of points before filters."""
         return sum(file.count for file in self.files)
+
+    @property
+    def has_splats(self) -> bool:
+        """Return whether points of a file are the means of Gaussian splats."""
+        return any(file.has_splats for file in self.files)
 
     def without_pieces(self) -> CloudOnDisk:
         """Return a copy without files and pieces, to send to workers: `read_piece` does not need them."""
