@@ -5,21 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.io.files import errors_named
-from pcbench.regular_files import read_bytes
+from pcbench.io.matlab import read_matlab_arrays
 
 _MARGIN_MM = 10  # of the published masks: the number at the end of their names
 _SCANS = range(1, 129)
-_MAX_MAT_BYTES = 2 << 30
 # Places in the folder of the archives (SampleSet.zip and Points.zip), or in one with the files alone.
 _ROOTS = ("", "MVS Data", "SampleSet/MVS Data")
 _MASK_FOLDERS = ("ObsMask", "")
@@ -72,8 +68,7 @@ def read_mask(folders: Sequence[Path], scan: int) -> ObservationMask:
         InputError: there is no such file, or it is damaged.
     """
     file = _data_file(folders, _MASK_FOLDERS, f"ObsMask{scan}_{_MARGIN_MM}.mat")
-    values = _read_mat(file, "ObsMask", "BB", "Res")
-    voxels, box, side = (np.asarray(values[name]) for name in ("ObsMask", "BB", "Res"))
+    voxels, box, side = read_matlab_arrays(file, "ObsMask", "BB", "Res")
     if voxels.ndim != 3 or box.shape != (2, 3) or side.size != 1:
         raise InputError(
             f"{file}: expected ObsMask with three axes, BB of 2 x 3 numbers and one number Res, got shapes"
@@ -92,7 +87,8 @@ def read_plane(folders: Sequence[Path], scan: int) -> FloatArray:
         InputError: there is no such file, or it is damaged.
     """
     file = _data_file(folders, _MASK_FOLDERS, f"Plane{scan}.mat")
-    plane = np.asarray(_read_mat(file, "P")["P"], np.float64).reshape(-1)
+    [stored] = read_matlab_arrays(file, "P")
+    plane = stored.astype(np.float64).reshape(-1)
     if plane.shape != (4,) or not np.isfinite(plane).all():
         raise InputError(f"{file}: expected P with four numbers, got {plane.shape}")
     return plane
@@ -118,24 +114,3 @@ def _data_file(folders: Sequence[Path], places: Sequence[str], name: str) -> Pat
         f"dtu: found no {name}{searched}: name the folder of the data set, with ObsMask/ and Points/stl/, by"
         " --protocol-data"
     )
-
-
-def _read_mat(file: Path, *names: str) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    with errors_named(file):
-        content = BytesIO(read_bytes(file, _MAX_MAT_BYTES))
-    try:
-        values: dict[str, Any] = loadmat(content, variable_names=names)  # type: ignore[arg-type]  # accepts files
-    except NotImplementedError:  # HDF5
-        raise InputError(
-            f"{file}: expected a MATLAB file of version 5 to 7, as they are published, got version 7.3 (HDF5): save it"
-            " with save(..., '-v7')"
-        ) from None
-    except Exception as error:  # of a damaged file, the reader raises anything
-        raise InputError(f"{file}: expected a MATLAB file, got a damaged one ({error}): download it again") from error
-    if missing := [name for name in names if name not in values]:
-        raise InputError(
-            f"{file}: expected the variable {missing[0]}, got {', '.join(k for k in values if k[0] != '_')}"
-        )
-    return values

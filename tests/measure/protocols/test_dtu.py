@@ -220,8 +220,9 @@ def test_unusable_files(data, candidate, tmp_path):
     mask, plane = data / "ObsMask" / "ObsMask3_10.mat", data / "ObsMask" / "Plane3.mat"
     savemat(plane, {"P": np.ones(3)})
     refuse()
-    savemat(plane, {"Q": np.ones(4)})
-    refuse()
+    for other in ({"Q": np.ones(4)}, {"P": "text"}, {"P": {"a": 1}}):
+        savemat(plane, other)
+        refuse()
     content = mask.read_bytes()
     for damaged in (content[:150], b"nothing of the kind" * 20):
         mask.write_bytes(damaged)
