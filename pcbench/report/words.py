@@ -118,8 +118,11 @@ def rounding_limit(comparison: FinishedComparison) -> float:
 
 
 def title(comparison: FinishedComparison) -> str:
-    """Return one line about the reference: its path, number of points and spacing."""
+    """Return one line about the reference: its path, number of points or samples, and spacing."""
     reference = comparison.reference
     spacing = with_unit(f"{reference.spacing_median:.3g}", reference.unit)
     name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))
-    return f"{name}: {pluralize(reference.points, 'point')}, spacing {spacing}"
+    points = pluralize(reference.points, "point")
+    if reference.faces is not None:
+        points += f" sampled on {pluralize(reference.faces, 'face')} by area (seed {comparison.settings.seed})"
+    return f"{name}: {points}, spacing {spacing}"

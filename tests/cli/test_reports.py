@@ -244,8 +244,11 @@ def test_a_mesh_file_as_the_reference(files, run):
     (files / "square.obj").write_text("v 0 0 0\nv 20 0 0\nv 20 20 0\nv 0 20 0\nf 1 2 3 4\n")
     rng = np.random.default_rng(0)
     write_cloud("low.ply", Cloud(np.column_stack([rng.uniform(1, 19, (500, 2)), np.full(500, 0.1)])))
-    code, _, err = run("compare", "square.obj", "low.ply", "--register", "none", "--out", "report")
+    code, out, err = run(
+        "compare", "square.obj", "low.ply", "--register", "none", "--sample", "4000", "--seed", "7", "--out", "report"
+    )
     assert code == 0, err
+    assert "4,000 points sampled on 2 faces" in check_text(out.splitlines()[0])
     values = read_comparison("report")
     assert values["reference"]["faces"] == 2
     assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
