@@ -29,11 +29,13 @@ class Trajectory(NamedTuple):
 
     Attributes:
         numbers: (N,) numbers of the images, from 0.
+        places: (N,) places of the images in the file, from 0.
         centers: (N, 3) camera centres.
         length: number of images in the file, those without a pose included.
     """
 
     numbers: IntArray
+    places: IntArray
     centers: FloatArray
     length: int
 
@@ -49,13 +51,9 @@ def read_trajectory(path: Path, on_warning: Warn) -> Trajectory:
         on_warning: callback, called with one line per warning.
 
     Raises:
-        InputError: the file is malformed or has no pose, or an image is named twice. The message starts with the path.
+        InputError: the file is malformed or has no pose. The message starts with the path.
     """
-    trajectory = _from_model(path, on_warning) if path.is_dir() else _from_log(path)
-    numbers, counts = np.unique(trajectory.numbers, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(f"{path}: expected each image once, got image {numbers[counts > 1][0]} twice")
-    return trajectory
+    return _from_model(path, on_warning) if path.is_dir() else _from_log(path)
 
 
 def _from_model(path: Path, on_warning: Warn) -> Trajectory:
@@ -67,19 +65,20 @@ def _from_model(path: Path, on_warning: Warn) -> Trajectory:
     matches = [_NUMBER_IN_NAME.search(Path(camera.name).stem) for camera in cameras]
     for camera, match in zip(cameras, matches, strict=True):
         if match is None or len(match[1]) > 15:
-            raise InputError(f"{folder}: expected names of images with a number, such as 000001.jpg, got {camera.name!r}")
+            raise InputError(
+                f"{folder}: expected names of images with a number, such as 000001.jpg, got {camera.name!r}"
+            )
     numbers = np.array([int(match[1]) - 1 for match in matches if match is not None])
-    return Trajectory(numbers, np.stack([camera.position for camera in cameras]), len(cameras))
+    centers = np.stack([camera.position for camera in cameras])
+    return Trajectory(numbers, np.arange(len(cameras)), centers, len(cameras))
 
 
 def _from_log(path: Path) -> Trajectory:
     with errors_named(path):
         lines = [line.split() for line in read_text(path).splitlines() if line.strip()]
         if not lines or len(lines) % _LINES_PER_IMAGE:
-            raise InputError(
-                f"expected five lines per image (three integers and a 4x4 matrix), got {len(lines)} lines"
-            )
-        numbers, centers = [], []
+            raise InputError(f"expected five lines per image (three integers and a 4x4 matrix), got {len(lines)} lines")
+        numbers, places, centers = [], [], []
         for first in range(0, len(lines), _LINES_PER_IMAGE):
             header, *rows = lines[first : first + _LINES_PER_IMAGE]
             image = first // _LINES_PER_IMAGE
@@ -94,9 +93,10 @@ def _from_log(path: Path) -> Trajectory:
                 raise InputError(f"image {image}: expected the last row 0 0 0 1")
             if view >= 0:
                 numbers.append(number)
+                places.append(image)
                 centers.append(matrix[:3, 3])
         if not numbers:
             raise InputError("expected at least one image with a pose, got none")
         if not 0 <= min(numbers) <= max(numbers) < 2**53:
             raise InputError(f"expected numbers of images from 0, got {min(numbers)}")
-    return Trajectory(np.array(numbers), np.array(centers), len(lines) // _LINES_PER_IMAGE)
+    return Trajectory(np.array(numbers), np.array(places), np.array(centers), len(lines) // _LINES_PER_IMAGE)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pcbench.errors import InputError
 from pcbench.measure.protocols.eth3d import Eth3d
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, parse_settings
+from pcbench.measure.protocols.tnt import TanksAndTemples
 
-_KINDS: tuple[type[BenchmarkProtocol], ...] = (Eth3d,)
+_KINDS: tuple[type[BenchmarkProtocol], ...] = (Eth3d, TanksAndTemples)
 PROTOCOLS = {kind.name: kind for kind in _KINDS}
 
 
