@@ -265,9 +265,8 @@ def _icp(target: Index, source: Index, max_distance: float) -> _Refinement:
                 pose = fit_similarity(moved[near], target.points[matches.indices[near]]) @ pose
             except InputError:
                 raise RegistrationError(
-                    f"the candidate is not near the reference after the alignment of trajectories: only"
-                    f" {np.count_nonzero(near)} of {len(source):,} points have a correspondence within"
-                    f" {max_distance:g}; check the trajectory, the scene and the threshold"
+                    f"the candidate is not near the reference: only {np.count_nonzero(near)} of {len(source):,} points"
+                    f" have a correspondence within {max_distance:g}; check the trajectory, the scene and the threshold"
                 ) from None
     return _Refinement(pose, _MAX_ITERATIONS, False)
 
@@ -276,8 +275,8 @@ def _crop(points: FloatArray, volume: Region | None, name: str) -> FloatArray:
     inside = points if volume is None else points[volume.contains(points)]
     if not len(inside):
         raise RegistrationError(
-            f"no point of the {name} is in the crop volume after the alignment of trajectories: check the trajectory"
-            " and the scene"
+            f"no point of the {name} is in the crop volume when the candidate is in its initial pose: check the"
+            " trajectory, the scene and its files"
         )
     return inside
 

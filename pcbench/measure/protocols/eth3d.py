@@ -27,13 +27,14 @@ from pcbench.io.files import errors_named
 from pcbench.io.meshes import to_shape
 from pcbench.io.meshlab_project import ProjectMesh, read_meshlab_project
 from pcbench.measure.metrics import harmonic_mean
-from pcbench.measure.protocols.free_space import Beam, Floats, FreeSpace, Observation
+from pcbench.measure.protocols.free_space import Beam, Floats, FreeSpace, BeamObservation
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
 from pcbench.measure.protocols.voxel_grids import Mask, VoxelGrids
 
 _PROJECT = "scan_alignment.mlp"
 _FOLDERS = (".", "dslr_scan_eval", "rig_scan_eval")  # where the downloads of the benchmark have it in a scene's folder
 _PRECISIONS: dict[str, type[np.floating[Any]]] = {"float32": np.float32, "float64": np.float64}
+_MAX_LENGTH = 1e15  # metres; keeps squares within single precision
 _MAX_ROTATION_ERROR = 1e-3  # of products of rows: some projects print few digits
 
 
@@ -63,7 +64,7 @@ class Eth3d:
     precision: str = "float32"
 
     def __post_init__(self) -> None:
-        if not self.tolerances or not all(0 <= value < np.inf for value in self.tolerances):
+        if not self.tolerances or not all(0 <= value <= _MAX_LENGTH for value in self.tolerances):
             raise InputError(
                 f"eth3d: expected tolerances as lengths of at least 0 m, got {'/'.join(map(str, self.tolerances))!r}"
             )
@@ -103,7 +104,7 @@ class Eth3d:
                 f" {inputs.seed})"
             )
         moved = shape if inputs.pose is None else shape.transformed(inputs.pose)
-        points = moved.points.astype(kind)
+        points = _rounded(moved.points, kind)
 
         inputs.on_step("completeness")
         completeness, scan_points = self._completeness(scans, points, inputs.crop)
@@ -144,24 +145,26 @@ class Eth3d:
         shares = [grids.mean_share(_within(squared, tolerance), counted) for tolerance in self.tolerances]
         return shares, int(counted.sum())
 
-    def _observe(self, scans: list[_Scan], points: Floats) -> Observation:
-        """Merge what all scans tell about the points; those that are accurate at each tolerance need no further scan.
+    def _observe(self, scans: list[_Scan], points: Floats) -> BeamObservation:
+        """Merge the evidence of all scans about the points; those that are accurate at each tolerance need no further scan.
 
         Returns:
             The smallest of the squared distances, and whether a point lies in free space for any scan.
         """
         beam = Beam(self.beam_start_radius, _radians(self.beam_divergence_halfangle_deg, points.dtype.type))
-        merged = Observation.nothing(len(points), points.dtype.type)
+        merged = BeamObservation.nothing(len(points), points.dtype.type)
         for scan in scans:
             open_rows = np.flatnonzero(~_within(merged.squared_distances, self.tolerances[0]))
-            seen = FreeSpace(scan.points, beam).observe(scan.to_scanner(points[open_rows]))
+            with errors_named(scan.name):
+                space = FreeSpace(scan.points, beam)
+            seen = space.observe(scan.to_scanner(points[open_rows]))
             merged.squared_distances[open_rows] = np.minimum(
                 merged.squared_distances[open_rows], seen.squared_distances
             )
             merged.in_free_space[open_rows] |= seen.in_free_space
         return merged
 
-    def _accuracy(self, observation: Observation, points: Floats, counted: Mask) -> list[float]:
+    def _accuracy(self, observation: BeamObservation, points: Floats, counted: Mask) -> list[float]:
         grids, shares = VoxelGrids(points, self.voxel_size), []
         for tolerance in self.tolerances:
             accurate = _within(observation.squared_distances, tolerance)
@@ -170,10 +173,14 @@ class Eth3d:
 
 
 class _Scan(NamedTuple):
-    """A scan in the coordinates of its scanner, and its rigid pose (4, 4), both in the precision of the evaluation."""
+    """A scan in the coordinates of its scanner, its rigid pose (4, 4), and the name of its file.
+
+    Points and pose have the precision of the evaluation.
+    """
 
     points: Floats
     pose: Floats
+    name: str
 
     @property
     def in_project(self) -> Floats:
@@ -195,13 +202,16 @@ class _Scan(NamedTuple):
 
 
 def _read_scan(mesh: ProjectMesh, kind: type[np.floating[Any]]) -> _Scan:
+    points = vertex_cloud(to_shape(mesh.file)).points
     with errors_named(mesh.file.name):
         _check_rigid(mesh.matrix)
-    return _Scan(vertex_cloud(to_shape(mesh.file)).points.astype(kind), mesh.matrix.astype(kind))
+        return _Scan(_rounded(points, kind), mesh.matrix.astype(kind), mesh.file.name)
 
 
 def _check_rigid(matrix: FloatArray) -> None:
     rotation = matrix[:3, :3]
+    if np.abs(matrix).max() > _MAX_LENGTH:
+        raise InputError(f"expected a pose of numbers up to {_MAX_LENGTH:g}, got {np.abs(matrix).max():g}")
     if not np.array_equal(matrix[3], (0, 0, 0, 1)):
         raise InputError(f"expected a pose with the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in matrix[3])}")
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()
@@ -227,6 +237,12 @@ def _project_file(inputs: EvaluationInputs) -> Path:
         f"eth3d: expected the reference as a {_PROJECT}, which has the positions of the scanners, got {name}"
         + (f"; there is none in {places}" if places else "")
     )
+
+
+def _rounded(points: FloatArray, kind: type[np.floating[Any]]) -> Floats:
+    if (largest := np.abs(points).max()) > _MAX_LENGTH:
+        raise InputError(f"eth3d: expected coordinates up to {_MAX_LENGTH:g} m, got {largest:g}: remove such points")
+    return points.astype(kind)
 
 
 def _inside(points: Floats, crop: Region | None) -> Mask:

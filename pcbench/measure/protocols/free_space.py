@@ -22,6 +22,7 @@ from pcbench.geometry.neighbors import Index, Neighborhoods
 Floats = NDArray[np.floating[Any]]
 
 _MAX_PAIRS = 1 << 20  # pairs of a point and a scan point that are evaluated at a time
+_MAX_CHORD_RATIO = 1.1  # between the widest and the narrowest beam of a search
 _FIRST_QUERIES = 256  # points of the first search; the number then follows the number of scan points per beam
 # Rays are searched among unit vectors. Rounding to float32 moves these, and the distance of a point to a ray relative
 # to its distance to the scanner, by several units of 6e-8.
@@ -46,8 +47,8 @@ class Beam(NamedTuple):
         return radii
 
 
-class Observation(NamedTuple):
-    """What scans tell about points.
+class BeamObservation(NamedTuple):
+    """Evidence of scans about points.
 
     Attributes:
         squared_distances: (N,) squared distance to the nearest scan point in whose beam the point lies; inf: none.
@@ -58,7 +59,7 @@ class Observation(NamedTuple):
     in_free_space: NDArray[np.bool_]
 
     @classmethod
-    def nothing(cls, count: int, kind: type[np.floating[Any]]) -> Observation:
+    def nothing(cls, count: int, kind: type[np.floating[Any]]) -> BeamObservation:
         """Return the observation of points that no scan has seen yet."""
         return cls(np.full(count, np.inf, kind), np.zeros(count, np.bool_))
 
@@ -85,14 +86,14 @@ class FreeSpace:
         self._ray_x, self._ray_y, self._ray_z = np.ascontiguousarray(rays.T)
         self._rays = Index(rays)
 
-    def observe(self, points: Floats) -> Observation:
-        """Return what the scan tells about points (N, 3) relative to the scanner, in the precision of the scan."""
-        result = Observation.nothing(len(points), points.dtype.type)
+    def observe(self, points: Floats) -> BeamObservation:
+        """Return the evidence of the scan about points (N, 3) relative to the scanner, in its precision."""
+        result = BeamObservation.nothing(len(points), points.dtype.type)
         distances = length(points)
         radii = self._beam.radii(distances)
         at_scanner = radii >= distances  # such a point is in the beam of any scan point in front of it
+        everything = Neighborhoods(np.array([0, len(self._lengths)]), np.arange(len(self._lengths)))
         for row in np.flatnonzero(at_scanner):
-            everything = Neighborhoods(np.array([0, len(self._lengths)]), np.arange(len(self._lengths)))
             self._evaluate(points, radii, np.array([row]), everything, result)
         rows = np.flatnonzero(~at_scanner)
         chords = 2 * np.sin(np.arcsin(np.float64(radii[rows]) / distances[rows]) / 2)
@@ -104,10 +105,13 @@ class FreeSpace:
         self, points: Floats, distances: Floats, rows: NDArray[np.int64], chords: Floats
     ) -> Iterator[tuple[NDArray[np.int64], Neighborhoods]]:
         """Yield points and the scan points in their beams, in batches of about `_MAX_PAIRS` pairs."""
-        order = np.argsort(chords, kind="stable")  # points of one batch are searched within one chord
+        order = np.argsort(chords, kind="stable")
+        ascending = chords[order]
         start, count = 0, _FIRST_QUERIES
         while start < len(order):
-            batch = order[start : start + count]
+            # A batch is searched within its largest chord, and beams are much wider near the scanner.
+            last = int(np.searchsorted(ascending, _MAX_CHORD_RATIO * ascending[start], side="right"))
+            batch = order[start : min(start + count, last)]
             queries = rows[batch]
             near = self._rays.query_radius(points[queries] / distances[queries, None], float(chords[batch[-1]]))
             start += len(batch)
@@ -120,16 +124,16 @@ class FreeSpace:
         radii: Floats,
         rows: NDArray[np.int64],
         near: Neighborhoods,
-        result: Observation,
+        result: BeamObservation,
     ) -> None:
-        """Add the observation of some points to the result.
+        """Add the evidence about some points to the result.
 
         Args:
             points: (N, 3) all points.
             radii: (N,) radii of the beams at these.
             rows: (M,) points to evaluate.
             near: rows of scan points whose beams may contain them.
-            result: what the scan tells about all points.
+            result: the evidence about all points, which is changed.
         """
         for first, last in _blocks(near.offsets):
             pairs = near.indices[near.offsets[first] : near.offsets[last]]

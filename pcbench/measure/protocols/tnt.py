@@ -140,7 +140,10 @@ class _Placement(NamedTuple):
 
 
 def _scene_name(inputs: EvaluationInputs) -> str:
-    return inputs.scene or (inputs.reference.stem if isinstance(inputs.reference, Path) else "")
+    name = inputs.scene or (inputs.reference.stem if isinstance(inputs.reference, Path) else "")
+    if not name:
+        raise InputError("tnt: expected the name of the scene, because a reference in memory does not tell it")
+    return name
 
 
 def _scene(inputs: EvaluationInputs) -> TntScene:
