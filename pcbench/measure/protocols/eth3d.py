@@ -27,7 +27,7 @@ from pcbench.io.files import errors_named
 from pcbench.io.meshes import to_shape
 from pcbench.io.meshlab_project import ProjectMesh, read_meshlab_project
 from pcbench.measure.metrics import harmonic_mean
-from pcbench.measure.protocols.free_space import Beam, Floats, FreeSpace, BeamObservation
+from pcbench.measure.protocols.free_space import Beam, BeamObservation, Floats, FreeSpace
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
 from pcbench.measure.protocols.voxel_grids import Mask, VoxelGrids
 
@@ -146,7 +146,7 @@ class Eth3d:
         return shares, int(counted.sum())
 
     def _observe(self, scans: list[_Scan], points: Floats) -> BeamObservation:
-        """Merge the evidence of all scans about the points; those that are accurate at each tolerance need no further scan.
+        """Merge the evidence of all scans. Points that are accurate at each tolerance need no further scan.
 
         Returns:
             The smallest of the squared distances, and whether a point lies in free space for any scan.
