@@ -17,6 +17,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, vertex_cloud
 from pcbench.geometry.regions import Region
@@ -27,6 +28,8 @@ from pcbench.measure.metrics import FScore
 from pcbench.measure.presets import tnt_fscore
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, Shape, protocol_text
 from pcbench.registration.trajectories import TrajectorySettings, align_trajectories, refine_pose
+
+_MESH_POINTS = ("samples", "vertices", "centers")
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,9 @@ class TanksAndTemples:
             beside the candidate with its name. If there is none, the candidate is in the coordinates of the reference
             reconstruction (`SCENE_COLMAP_SfM.log`).
         refine: whether ICP refines the pose. A pose that is given with the inputs is used unchanged.
+        mesh: points of a candidate mesh: `samples`, uniform by area; `vertices`, as the official program; or `centers`,
+            its vertices and the centroids of its faces, as the evaluations of 2DGS (Huang et al. 2024) and GOF (Yu et
+            al. 2024), which many papers on splats use.
     """
 
     name: ClassVar[str] = "tnt"
@@ -51,12 +57,15 @@ class TanksAndTemples:
     threshold: float = 0.0
     trajectory: str = ""
     refine: bool = True
+    mesh: str = "samples"
 
     def __post_init__(self) -> None:
         if not 0 <= self.threshold < np.inf:
             raise InputError(
                 f"tnt: expected threshold as a length above 0 m, or 0 for the scene's, got {self.threshold:g}"
             )
+        if self.mesh not in _MESH_POINTS:
+            raise InputError(f"tnt: expected mesh as one of {', '.join(_MESH_POINTS)}; got {self.mesh!r}")
 
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Evaluate a candidate.
@@ -71,18 +80,12 @@ class TanksAndTemples:
         threshold = self.threshold or TntScene(Path(), _scene_name(inputs)).threshold
         inputs.on_step("reading the clouds")
         reference = vertex_cloud(to_shape(_reference(inputs)))
-        shape = to_shape(inputs.candidate)
-        candidate, notes = sample_candidate(shape, reference, inputs.seed), list[str]()
-        if isinstance(shape, Mesh):
-            notes.append(
-                f"the candidate is a mesh: it is evaluated at {len(candidate):,} points sampled on its faces by area"
-                f" (seed {inputs.seed})"
-            )
+        candidate, notes = self._candidate(to_shape(inputs.candidate), reference, inputs.seed)
         inputs.on_step("registering")
         volume = inputs.crop or _scene(inputs).crop_volume()
-        placement = self._place(inputs, threshold, volume, reference.points, candidate.points)
+        placement = self._place(inputs, threshold, volume, reference.points, candidate)
         inputs.on_step("measuring distances")
-        moved = placement.pose.apply(candidate.points)
+        moved = placement.pose.apply(candidate)
         inside = [points[volume.contains(points)] for points in (reference.points, moved)]
         scores, sizes = FScore(threshold, 0.0, 0.0, 0.0), (0, 0)
         if all(map(len, inside)):
@@ -101,6 +104,20 @@ class TanksAndTemples:
             tuple(ProtocolScore(name, n, better=None) for name, n in (counts | placement.counts).items()),
             (f"the candidate is {placement.how}", *notes),
         )
+
+    def _candidate(self, shape: Cloud | Mesh, reference: Cloud, seed: int) -> tuple[FloatArray, list[str]]:
+        """Return the points (N, 3) that stand for the candidate, and how they were chosen."""
+        if not isinstance(shape, Mesh):
+            return shape.points, []
+        if self.mesh == "samples":
+            points = sample_candidate(shape, reference, seed).points
+            how = f"{len(points):,} points sampled on its faces by area (seed {seed})"
+        elif self.mesh == "vertices":
+            points, how = shape.vertices, f"its {len(shape.vertices):,} vertices"
+        else:
+            points = np.concatenate([shape.vertices, shape.vertices[shape.faces].mean(axis=1)])
+            how = f"its {len(shape.vertices):,} vertices and {len(shape.faces):,} centroids of faces"
+        return points, [f"the candidate is a mesh: it is evaluated at {how}"]
 
     def _place(
         self, inputs: EvaluationInputs, threshold: float, volume: Region, reference: FloatArray, candidate: FloatArray

@@ -110,6 +110,15 @@ def test_a_crop_replaces_the_volume_and_a_mesh_is_sampled(scene):
     check_text(sampled.notes[1])
 
 
+@pytest.mark.parametrize(("points", "count"), [("vertices", 3), ("centers", 4)])
+def test_a_mesh_may_be_its_vertices_and_centroids(scene, points, count):
+    corners = SCAN_FROM_SFM.inverse().apply(np.array([[5.0, 5, 0], [35, 5, 0], [20, 35, 0]]))
+    protocol = TanksAndTemples(0.4, refine=False, mesh=points)
+    found = protocol.evaluate(replace(scene, candidate=Mesh(corners, np.array([[0, 1, 2]]))))
+    assert values(found)["candidate_points"] == count
+    check_text(found.notes[1])
+
+
 def test_a_candidate_outside_the_volume_has_zero_scores(scene):
     found = TanksAndTemples(0.4).evaluate(replace(scene, candidate=Cloud(np.ones((5, 3)) * 1e6), pose=SCAN_FROM_SFM))
     assert [score.value for score in found.scores] == [0, 0, 0]
@@ -120,6 +129,8 @@ def test_missing_files_and_names_are_refused(scene, tmp_path):
     protocol = TanksAndTemples(0.4)
     with check_error():
         TanksAndTemples(-1.0)
+    with check_error():
+        TanksAndTemples(mesh="faces")
     with check_error():  # Hill is no scene of the benchmark
         TanksAndTemples().evaluate(scene)
     with check_error():
