@@ -162,9 +162,8 @@ def print_tnt(folder: Path, expected: dict[str, dict[str, float]]) -> None:
             start = time.process_time()
             ours = {s.name.split("@")[0]: s.value for s in TanksAndTemples(float(threshold)).evaluate(inputs).scores}
             seconds, equal = time.process_time() - start, all(ours[name] == value for name, value in scores.items())
-            print(
-                f"\nTanks and Temples at {threshold}: {'all digits equal' if equal else 'DIFFERENT'}, {seconds:.2f} s CPU"
-            )
+            verdict = "all digits equal" if equal else "DIFFERENT"
+            print(f"\nTanks and Temples at {threshold}: {verdict}, {seconds:.2f} s CPU")
             print(" ".join(f"{name} {value!r}" for name, value in ours.items()))
     bump = Similarity(rotation_from_vector(np.array([0.01, -0.02, 0.015])), np.array([0.03, -0.02, 0.01]), 1.01)
     start_pose, clouds = bump @ truth, [read_cloud(path).points for path in (reference, candidate)]
