@@ -92,9 +92,10 @@ class FreeSpace:
         distances = length(points)
         radii = self._beam.radii(distances)
         at_scanner = radii >= distances  # such a point is in the beam of any scan point in front of it
-        everything = Neighborhoods(np.array([0, len(self._lengths)]), np.arange(len(self._lengths)))
-        for row in np.flatnonzero(at_scanner):
-            self._evaluate(points, radii, np.array([row]), everything, result)
+        if at_scanner.any():
+            everything = Neighborhoods(np.array([0, len(self._lengths)]), np.arange(len(self._lengths)))
+            for row in np.flatnonzero(at_scanner):
+                self._evaluate(points, radii, np.array([row]), everything, result)
         rows = np.flatnonzero(~at_scanner)
         chords = 2 * np.sin(np.arcsin(np.float64(radii[rows]) / distances[rows]) / 2)
         for batch, near in self._search(points, distances, rows, chords * (1 + _SEARCH_GROWTH) + _SEARCH_MARGIN):

@@ -38,9 +38,9 @@ class TanksAndTemples:
 
     Attributes:
         threshold: distance below which points count; 0: that of the scene, by its name.
-        trajectory: the candidate's camera poses: a `.log` file, or the folder of a COLMAP model. Empty: a `.log` file
-            beside the candidate with its name. If there is none, the candidate is in the coordinates of the reference
-            reconstruction (`SCENE_COLMAP_SfM.log`).
+        trajectory: the candidate's camera poses: a `.log` file, or the folder of a COLMAP model; `{scene}` stands for
+            the name of the scene. Empty: a `.log` file beside the candidate with its name. If there is none, the
+            candidate is in the coordinates of the reference reconstruction (`SCENE_COLMAP_SfM.log`).
         refine: whether ICP refines the pose. A pose that is given with the inputs is used unchanged.
         mesh: points of a candidate mesh: `samples`, uniform by area; `vertices`, as the official program; or `centers`,
             its vertices and the centroids of its faces, as the evaluations of 2DGS (Huang et al. 2024) and GOF (Yu et
@@ -143,7 +143,7 @@ class TanksAndTemples:
 
     def _trajectory_file(self, inputs: EvaluationInputs) -> Path | None:
         if self.trajectory:
-            return Path(self.trajectory)
+            return Path(self.trajectory.replace("{scene}", _scene_name(inputs)))
         beside = inputs.candidate.with_suffix(".log") if isinstance(inputs.candidate, Path) else None
         return beside if beside is not None and beside.is_file() else None
 

@@ -76,8 +76,8 @@ def test_a_trajectory_beside_the_candidate_registers_it(scene, tmp_path):
     assert values(found)["scale"] == pytest.approx(SCAN_FROM_CANDIDATE.scale, rel=5e-3)  # as above
     assert (values(found)["cameras"], values(found)["cameras_aligned"]) == (40, 40)
     assert values(found)["fscore@0.4"] > 0.7
-    (tmp_path / "mine.log").rename(tmp_path / "other.log")
-    named = TanksAndTemples(0.4, trajectory=str(tmp_path / "other.log"))
+    (tmp_path / "mine.log").rename(tmp_path / "Hill.log")
+    named = TanksAndTemples(0.4, trajectory=str(tmp_path / "{scene}.log"))
     assert named.evaluate(scene).scores == found.scores
     check_text(found.notes[0])
     unrefined = replace(named, refine=False).evaluate(scene)
