@@ -34,7 +34,7 @@ from pcbench.registration.given import absolute_text, method_files
 _SAMPLE_SIZE = 6  # camera centres per sample of RANSAC
 _INLIER_DISTANCE = 0.2  # metres, between aligned camera centres
 _MAX_SAMPLES, _CONFIDENCE = 100_000, 0.999
-_BATCH_SIZE = 512  # samples evaluated at a time
+_BATCH_SIZE, _BATCH_PAIRS = 512, 1 << 20  # samples evaluated at a time, and these times camera centres
 _MIN_SINGULAR_RATIO = 1e-9  # of the covariance of samples that determine a rotation
 _VIDEO_LENGTH = 1600  # poses above which a trajectory has one for each frame of the video
 # Runs of ICP: the side of voxels (None: no voxels) and the largest distance of correspondences, in thresholds.
@@ -204,9 +204,9 @@ def align_trajectories(candidate: FloatArray, reference: FloatArray, seed: int =
     """
     rng, count = np.random.default_rng(seed), len(candidate)
     best, inliers, smallest_error = np.empty(0, np.int64), 0, np.inf
-    drawn, needed = 0, _MAX_SAMPLES
+    batch, drawn, needed = min(_BATCH_SIZE, 1 + _BATCH_PAIRS // count), 0, _MAX_SAMPLES
     while drawn < needed:
-        samples = rng.integers(0, count, (min(_BATCH_SIZE, _MAX_SAMPLES - drawn), _SAMPLE_SIZE))
+        samples = rng.integers(0, count, (min(batch, _MAX_SAMPLES - drawn), _SAMPLE_SIZE))
         drawn += len(samples)
         linear, shifts, is_determined = _fit_samples(candidate[samples], reference[samples])
         moved = np.einsum("sij,nj->sni", linear, candidate) + shifts[:, None]
