@@ -12,8 +12,8 @@ from pcbench.errors import InputError
 REGISTER_HELP = (
     "Registration method: icp (point to plane), icp-point (point to point), similarity (icp with scale), global or"
     " global-similarity (icp or similarity from any initial pose), points:FILE (control points), matrix:FILE (a known"
-    " pose) or none. ICP removes a motion of the whole cloud, and the answer states it; use none to"
-    " measure the given coordinates."
+    " pose), tnt:TRAJECTORY,SCENE (camera centres, then ICP, as in Tanks and Temples) or none. ICP removes a motion of"
+    " the whole cloud, and the answer states it; use none to measure the given coordinates."
 )
 SHAPES_HELP = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE"
 CROP_HELP = (

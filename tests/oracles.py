@@ -261,3 +261,20 @@ def first_hits(origins, directions, vertices, faces):
         hit_parameters = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
         result[i] = hit_parameters.min(initial=np.inf)
     return result
+
+
+# Benchmarks
+
+
+def free_space(scan, points, start_radius, halfangle_rad):
+    """Distance (N,) to the nearest scan point in whose beam a point lies (inf: none), and whether a beam passes it."""
+    lengths = np.linalg.norm(scan, axis=1)
+    nearest, is_passed = np.full(len(points), np.inf), np.zeros(len(points), bool)
+    for row, point in enumerate(points):
+        along = (scan / lengths[:, None]) @ point
+        off = np.linalg.norm(point - along[:, None] * scan / lengths[:, None], axis=1)
+        in_beam = (along >= 0) & (off <= start_radius + np.linalg.norm(point) * np.tan(halfangle_rad))
+        if in_beam.any():
+            nearest[row] = np.linalg.norm(scan[in_beam] - point, axis=1).min()
+            is_passed[row] = (along < lengths)[in_beam].any()
+    return nearest, is_passed

@@ -105,7 +105,7 @@ def register(
     output = JsonOutput(json_file)
     sources = Source.open(reference), Source.open(candidate, vertices=vertices)
     method = parse_method(register)
-    inputs = [*sources[0].files, *sources[1].files, *filter(None, [method.file])]
+    inputs = [*sources[0].files, *sources[1].files, *method.files]
     for path, other in ((out, matrix), (matrix, out)):
         if path is not None:
             check_output(path, inputs, [*filter(None, [other])])

@@ -196,7 +196,7 @@ def bench(
              --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
     """
     from pcbench.geometry.region_text import region_file
-    from pcbench.registration.given import method_file
+    from pcbench.registration.given import method_files
     from pcbench.studies.bench.plan import Axis
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.studies.bench.score import Rules
@@ -205,7 +205,7 @@ def bench(
     rules = Rules(register, crop, threshold)
     job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
     output = JsonOutput(json_file)
-    named = filter(None, [masks, truth_mesh, method_file(register), region_file(crop)])
+    named = filter(None, [masks, truth_mesh, *method_files(register), region_file(crop)])
     output.check([scene, reference, *named], folder=out)
     chosen = chosen_workers(workers, cluster)
     _bench_and_print(job, out, output, workers=chosen, figures=not no_figures, quiet=quiet)

@@ -25,6 +25,7 @@ from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.nearby import MAX_NEAR_POINTS
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.windows import MAX_SAMPLE
+from pcbench.registration import TrajectorySettings, as_method
 from pcbench.report.inputs import InputFile
 from pcbench.report.recorded import record
 from pcbench.report.words import memory_text
@@ -201,6 +202,8 @@ def _unsupported(request: Request) -> str | None:
         return "the preset mpeg (--mpeg-peak)"
     if settings.tolerance is not None:
         return "--tolerance"
+    if isinstance(as_method(settings.register), TrajectorySettings):
+        return "--register tnt"
     if settings.min_opacity is not None or settings.max_axis is not None:
         return "filters of Gaussian splats (--min-opacity, --max-axis)"
     return _mesh(request)

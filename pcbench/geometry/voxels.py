@@ -64,6 +64,14 @@ def cell_means(points: FloatArray, side: float, lower: FloatArray | None = None)
     return np.stack([grid.means(points[:, axis]) for axis in range(3)], axis=1)
 
 
+def open3d_voxel_means(points: FloatArray, side: float) -> FloatArray:
+    """Return the mean point (M, 3) of each voxel as Open3D's `voxel_down_sample` does.
+
+    Its grid begins half a voxel below the lowest corner of the points (N, 3), N >= 1.
+    """
+    return cell_means(points, side, bounds(points)[0] - side / 2)
+
+
 def robust_bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the corners (3,) of the box around the inner 98 % of points (N, 3) along each axis: robust to outliers."""
     sample = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches, match_both_directions
-from pcbench.geometry.voxels import cell_means
+from pcbench.geometry.voxels import open3d_voxel_means
 from pcbench.measure import metrics
 from pcbench.measure.library_presets import LIBRARY_PRESETS, DirectedValues, LibraryPreset, OneWay
 from pcbench.native import _core
@@ -149,22 +149,26 @@ def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
 
 
 def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
-    """Compute F-scores as in Tanks and Temples (Knapitsch et al. 2017).
+    """Compute F-scores as in Tanks and Temples; use the selection volume as the crop. See `tnt_fscore`."""
+    return Tnt(tuple(tnt_fscore(pair.reference.points, pair.candidate.points, each)[0] for each in thresholds))
 
-    After cropping (use the selection volume as the crop), both clouds are downsampled to the mean point of each voxel,
-    with voxels of half the threshold.
+
+def tnt_fscore(
+    reference: FloatArray, candidate: FloatArray, threshold: float
+) -> tuple[metrics.FScore, tuple[int, int]]:
+    """Compute the F-score of Tanks and Temples (Knapitsch et al. 2017) of cropped points (N, 3), N >= 1.
+
+    Both clouds are downsampled to the mean point of each voxel, with voxels of half the threshold. Distances below the
+    threshold count; one that equals it does not.
+
+    Returns:
+        The F-score, and the numbers of points of the reference and the candidate after downsampling.
     """
-    rows = []
-    for threshold in thresholds:
-        downsampled = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
-        a, b = match_both_directions(*downsampled)
-        rows.append(metrics.fscore(a.distances, b.distances, threshold))
-    return Tnt(tuple(rows))
-
-
-def _voxel_down(points: FloatArray, side: float) -> FloatArray:
-    # The grid starts half a voxel below the lowest corner, as in Open3D, which the benchmark's code calls.
-    return cell_means(points, side, points.min(axis=0) - side / 2)
+    indices = [Index(open3d_voxel_means(points, threshold / 2)) for points in (reference, candidate)]
+    to_reference, to_candidate = match_both_directions(*indices)
+    below = float(np.nextafter(threshold, 0))  # the largest distance that counts
+    scores = metrics.fscore(to_reference.distances, to_candidate.distances, below)
+    return scores._replace(threshold=threshold), (len(indices[0]), len(indices[1]))
 
 
 def mpeg(pair: CroppedPair, peak: float | None = None) -> Mpeg:

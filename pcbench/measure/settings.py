@@ -37,7 +37,7 @@ from pcbench.options import (
 )
 from pcbench.registration import ControlPoints, GivenPose, Method, as_method, as_similarity
 from pcbench.registration.control_points import fit_pairs
-from pcbench.registration.given import method_file
+from pcbench.registration.given import absolute_text, method_files
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
 RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints")
@@ -50,8 +50,9 @@ class Settings:
     """User settings of a comparison, stored with every result.
 
     Attributes:
-        register: registration method: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
-            `Similarity` or 4x4 array as the pose itself, or the text of one, see `pcbench.registration.parse_method`.
+        register: registration method: an `IcpSettings`, `FeatureSettings`, `ControlPoints`, `TrajectorySettings` or
+            `GivenPose`, a `Similarity` or 4x4 array as the pose itself, or the text of one, see
+            `pcbench.registration.parse_method`.
         crop: measured region in the reference's coordinates, such as `pcbench.Box`, or its text, see
             `pcbench.geometry.region_text.parse_region`.
         thresholds: distance thresholds of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's
@@ -220,8 +221,8 @@ class Settings:
             InputError: there is no such method, or a file cannot be read.
         """
         register, crop, m3c2, checkpoints = self.register, self.crop, self.m3c2, self.checkpoints
-        if isinstance(register, str) and (file := method_file(register)) is not None:
-            register = as_method(f"{register.partition(':')[0]}:{file.absolute()}")
+        if isinstance(register, str) and method_files(register):
+            register = as_method(absolute_text(register))
         if isinstance(crop, str) and (file := region_file(crop)) is not None:
             crop = read_polygon(file.absolute())
         if isinstance(m3c2, M3C2Settings):
@@ -235,10 +236,10 @@ class Settings:
     def files(self) -> list[Path]:
         """Files that the settings name: of the registration, the region, the core points of M3C2 and check points."""
         named = self.register if isinstance(self.register, str) else None
-        method = as_method(self.register).file if named is None else method_file(named)
+        method = as_method(self.register).files if named is None else method_files(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
         check_points = None if self.checkpoints is None else Path(self.checkpoints)
-        return [*filter(None, (method, region_file(self.crop), cores, check_points))]
+        return [*method, *filter(None, (region_file(self.crop), cores, check_points))]
 
     @property
     def known_pose(self) -> Similarity | None:

@@ -9,6 +9,7 @@ from pcbench.registration.motion import RemovedMotion
 from pcbench.registration.residuals import PointResidual, PointRmse, SurveyResiduals
 from pcbench.registration.result import Registration
 from pcbench.registration.target import Target, local_origin, local_origin_of_box
+from pcbench.registration.trajectories import TrajectorySettings
 
 __all__ = [
     "METHODS",
@@ -23,6 +24,7 @@ __all__ = [
     "RemovedMotion",
     "SurveyResiduals",
     "Target",
+    "TrajectorySettings",
     "as_method",
     "as_similarity",
     "local_origin",

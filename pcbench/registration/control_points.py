@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
-from pcbench.registration.given import file_named
+from pcbench.registration.given import method_files
 from pcbench.registration.motion import MotionFrame, PoseCovariance
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.regular_files import read_text
@@ -65,9 +65,9 @@ class ControlPoints:
         fit_pairs(self)  # fail now, before clouds are read, if the pairs do not determine the pose
 
     @property
-    def file(self) -> Path | None:
+    def files(self) -> tuple[Path, ...]:
         """File of pairs from the command line."""
-        return file_named(self.text, "points")
+        return method_files(self.text)
 
     @classmethod
     def read(cls, path: str | Path) -> ControlPoints:

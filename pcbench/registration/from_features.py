@@ -65,7 +65,7 @@ class FeatureSettings:
 
     with_scale: bool = False
 
-    file: ClassVar[None] = None
+    files: ClassVar[tuple[()]] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.with_scale, bool):

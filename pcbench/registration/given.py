@@ -33,9 +33,9 @@ class GivenPose:
         object.__setattr__(self, "T_reference_candidate", as_similarity(self.T_reference_candidate))
 
     @property
-    def file(self) -> Path | None:
+    def files(self) -> tuple[Path, ...]:
         """File of a pose from the command line."""
-        return file_named(self.text, "matrix")
+        return method_files(self.text)
 
     @classmethod
     def identity(cls) -> GivenPose:
@@ -55,15 +55,20 @@ class GivenPose:
         return cls(read_matrix(path), f"matrix:{path}")
 
 
-def file_named(text: str, kind: str) -> Path | None:
-    """Return FILE of a method text `kind:FILE`; None for another text."""
-    name, _, file = text.partition(":")
-    return Path(file) if file and name == kind else None
+def method_files(text: str) -> tuple[Path, ...]:
+    """Return the files and folders of a method text such as `points:FILE`; empty for methods without files."""
+    kind, _, names = text.partition(":")
+    if not names or kind not in ("points", "matrix", "tnt"):
+        return ()
+    return tuple(map(Path, names.split(",")[:2] if kind == "tnt" else [names]))
 
 
-def method_file(text: str) -> Path | None:
-    """Return FILE of the method text `points:FILE` or `matrix:FILE`; None for another text."""
-    return file_named(text, "points") or file_named(text, "matrix")
+def absolute_text(text: str) -> str:
+    """Return a method text with the absolute paths of its files."""
+    files = method_files(text)
+    kind, _, names = text.partition(":")
+    others = names.split(",")[2:] if kind == "tnt" else []
+    return f"{kind}:{','.join([*(str(file.absolute()) for file in files), *others])}" if files else text
 
 
 def as_similarity(pose: Similarity | ArrayLike) -> Similarity:

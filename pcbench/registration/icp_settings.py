@@ -34,7 +34,7 @@ class IcpSettings:
     max_iterations: int = 100
     max_sample: int = 30_000
 
-    file: ClassVar[None] = None
+    files: ClassVar[tuple[()]] = ()
 
     def __post_init__(self) -> None:
         if self.residuals not in ("plane", "point"):

@@ -1,6 +1,6 @@
 """Registration methods: their texts, their settings objects, and `register`, which runs them.
 
-To add a method: write a module with a frozen dataclass of its settings (including `text`, `with_scale` and `file`) and
+To add a method: write a module with a frozen dataclass of its settings (including `text`, `with_scale` and `files`) and
 a function that returns a `Fit`. Then add it to `Method`, `_NAMED` (or `parse_method`) and `register` here.
 """
 
@@ -39,8 +39,9 @@ from pcbench.registration.result import Registration
 from pcbench.registration.rounding import step_warnings
 from pcbench.registration.sample_matches import MAX_SPACINGS_ON_SURFACE
 from pcbench.registration.target import Target, local_origin
+from pcbench.registration.trajectories import TrajectorySettings, align_by_trajectory
 
-Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
+Method = IcpSettings | FeatureSettings | ControlPoints | TrajectorySettings | GivenPose
 
 _NAMED: dict[str, Method] = {
     "icp": IcpSettings(),
@@ -50,7 +51,7 @@ _NAMED: dict[str, Method] = {
     "global-similarity": FeatureSettings(with_scale=True),
     "none": GivenPose.identity(),
 }
-METHODS = (*_NAMED, "points:FILE", "matrix:FILE")
+METHODS = (*_NAMED, "points:FILE", "matrix:FILE", "tnt:TRAJECTORY,SCENE")
 
 
 def register(
@@ -66,9 +67,9 @@ def register(
     Args:
         reference: a cloud, an (N, 3) array, a mesh, which is sampled by area, or the path of a file.
         candidate: the same.
-        method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (any pose, then ICP) or
-            `ControlPoints` (pairs of points). A `Similarity`, a 4x4 array or a `GivenPose` is used unchanged. A string
-            is parsed by `parse_method`.
+        method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (any pose, then ICP),
+            `ControlPoints` (pairs of points) or `TrajectorySettings` (camera centres, then ICP). A `Similarity`, a 4x4
+            array or a `GivenPose` is used unchanged. A string is parsed by `parse_method`.
         initial: initial pose candidate -> reference for ICP, a `Similarity` or a 4x4 array; the identity if not given.
             Its scale stays unless ICP solves for the scale.
         target: `Target.of(reference)`, if already computed.
@@ -117,6 +118,11 @@ def register(
             residuals = replace(residuals, z_is_up=method.z_is_up or is_projected_crs(reference.crs))
             fit = assess_given(target, points, T.about(-origin), origin, method.text)
             fit = fit.with_covariance(pose_covariance(method, T, origin))
+        elif isinstance(method, TrajectorySettings):
+            aligned = align_by_trajectory(reference.points, candidate.points, method)
+            T = aligned.T_reference_candidate
+            fit = assess_given(target, points, T.about(-origin), origin, method.text)
+            fit = fit._replace(iterations=aligned.iterations, converged=aligned.converged)
         else:
             T = method.T_reference_candidate
             source: PoseSource = "stated" if shares_crs and np.array_equal(T.matrix, np.eye(4)) else "given"
@@ -181,7 +187,9 @@ def _approximate_scale(method: Method, start: Similarity | None, extent_ratio: f
         return method.T_reference_candidate.scale
     if start is not None:
         return start.scale
-    is_unknown = isinstance(method, ControlPoints) or (isinstance(method, FeatureSettings) and method.with_scale)
+    is_unknown = isinstance(method, ControlPoints | TrajectorySettings) or (
+        isinstance(method, FeatureSettings) and method.with_scale
+    )
     return 1 / extent_ratio if is_unknown and 0 < extent_ratio < np.inf else 1.0
 
 
@@ -190,10 +198,11 @@ def parse_method(text: str) -> Method:
 
     Args:
         text: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement), `global` or
-            `global-similarity` (from any pose, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or `none`.
+            `global-similarity` (from any pose, then `icp` or `similarity`), `points:FILE`, `matrix:FILE`,
+            `tnt:TRAJECTORY,SCENE` (see `TrajectorySettings.read`) or `none`.
 
     Returns:
-        A method object whose `text` is the given text, and whose `file` is FILE; None for other methods.
+        A method object whose `text` is the given text, and whose `files` are those that it names.
 
     Raises:
         InputError: there is no such method, or the file cannot be read.
@@ -203,6 +212,8 @@ def parse_method(text: str) -> Method:
         return ControlPoints.read(path)
     if kind == "matrix" and path:
         return GivenPose.read(path)
+    if kind == "tnt" and path:
+        return TrajectorySettings.read(path)
     if colon or kind not in _NAMED:
         raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}")
     return _NAMED[kind]
@@ -224,6 +235,6 @@ def as_method(method: Method | Similarity | ArrayLike | str) -> Method:
     if isinstance(method, Similarity | np.ndarray | list | tuple):
         return GivenPose(as_similarity(method))
     raise InputError(
-        "expected the registration as a text, IcpSettings, FeatureSettings, ControlPoints, GivenPose, a Similarity or a"
-        f" 4x4 array, got {type(method).__name__}"
+        "expected the registration as a text, IcpSettings, FeatureSettings, ControlPoints, TrajectorySettings,"
+        f" GivenPose, a Similarity or a 4x4 array, got {type(method).__name__}"
     )

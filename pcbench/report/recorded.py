@@ -20,11 +20,23 @@ from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.presets import ALWAYS
 from pcbench.measure.settings import RARE_SETTINGS, Settings
 from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
+from pcbench.registration import (
+    METHODS,
+    ControlPoints,
+    FeatureSettings,
+    GivenPose,
+    IcpSettings,
+    TrajectorySettings,
+    parse_method,
+)
+from pcbench.registration.given import absolute_text
 
 _TYPES: dict[str, type[Any]] = {
     cls.__name__: cls
-    for cls in (IcpSettings, FeatureSettings, ControlPoints, GivenPose, Similarity, Box, Sphere, Polygon, Union, Cloud)
+    for cls in (
+        *(IcpSettings, FeatureSettings, ControlPoints, TrajectorySettings, GivenPose, Similarity),
+        *(Box, Sphere, Polygon, Union, Cloud),
+    )
 }
 # Settings of tiles that are recorded, with their JSON types.
 _TILING_KINDS: dict[str, Any] = {
@@ -78,7 +90,9 @@ def restore_tiling(values: Any) -> TilingSettings:
 
 
 def _to_record(value: Any) -> Any:
-    if (file := getattr(value, "file", None)) is not None:
+    if getattr(value, "files", ()):  # a registration method
+        return absolute_text(value.text)
+    if (file := getattr(value, "file", None)) is not None:  # a region
         return f"{value.text.partition(':')[0]}:{file.absolute()}"
     if isinstance(value, IcpSettings | FeatureSettings) and value.text in METHODS and parse_method(value.text) == value:
         return value.text

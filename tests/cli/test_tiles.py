@@ -11,6 +11,7 @@ import tiled_fake
 from children_here import drawing_here
 from command_line import is_one_line, read_comparison, without_timings
 from optional import import_or_skip
+from trajectories import circle, scene_folder
 from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
@@ -159,6 +160,15 @@ def test_unsupported_options_are_refused(options, run):
     assert is_one_line(err)
     check_text(err)
     assert not Path("report").exists()
+
+
+def test_the_registration_of_tanks_and_temples_is_refused(run, tmp_path):
+    volume = (0.0, 0.0, -9.0, 9.0, 9.0, 9.0)
+    scene = scene_folder(tmp_path / "Barn", "Barn", circle(), circle(), volume)
+    options = ("--register", f"tnt:{scene / 'Barn_COLMAP_SfM.log'},{scene}", "--out", "report")
+    code, _, err = run("compare", "ref.ply", "a.ply", "--tiles", "1e4", *options)
+    assert code == 2
+    check_text(err)
 
 
 def test_a_mesh_as_the_reference_is_refused(run):

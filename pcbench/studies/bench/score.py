@@ -148,8 +148,8 @@ class EvaluationProtocol:
     @property
     def files(self) -> list[Path]:
         """Files with matrices, point pairs and polygons that the rules name."""
-        method = None if self.method is None else self.method.file
-        return [*filter(None, (method, None if self.region is None else region_file(self.region)))]
+        method = () if self.method is None else self.method.files
+        return [*method, *filter(None, [None if self.region is None else region_file(self.region)])]
 
 
 def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
