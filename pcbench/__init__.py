@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
     from pcbench.measure.m3c2_settings import M3C2Settings as M3C2Settings
+    from pcbench.measure.score_pairs import CloudScore as CloudScore
+    from pcbench.measure.score_pairs import score as score
+    from pcbench.measure.score_pairs import score_many as score_many
     from pcbench.measure.settings import Settings as Settings
     from pcbench.measure.tiled.settings import TilingSettings as TilingSettings
     from pcbench.registration import IcpSettings as IcpSettings
@@ -40,6 +43,7 @@ _MODULES = {
     "Affine": "geometry.transform",
     "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
+    "CloudScore": "measure.score_pairs",
     "Comparison": "comparison.result",
     "IcpSettings": "registration",
     "Index": "geometry.neighbors",
@@ -65,6 +69,8 @@ _MODULES = {
     "read_mesh": "io.meshes",
     "read_scene": "scenes",
     "register": "registration",
+    "score": "measure.score_pairs",
+    "score_many": "measure.score_pairs",
     "write_cloud": "io",
 }
 
