@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pcbench.report import plotters as plot  # noqa: F401  # a public name, as the others
     from pcbench.scenes import Scene as Scene
     from pcbench.scenes import read_scene as read_scene
+    from pcbench.studies.evaluate.study import evaluate as evaluate
 
 # Imported on first use, so that a name costs the import of one subpackage only.
 _MODULES = {
@@ -62,6 +63,7 @@ _MODULES = {
     "compare": "comparison.run",
     "crop": "io.crop",
     "deform": "deformation",
+    "evaluate": "studies.evaluate.study",
     "metrics": "measure.metrics",
     "parse_region": "geometry.region_text",
     "plot": "report.plotters",

@@ -201,9 +201,7 @@ def plane_metrics(
     nearest_back = nearest_back if rows_back is None else nearest_back[rows_back]
     to_planes = definitions.plane_distances
     forth = to_planes(moving, fixed, normals, query_rows=rows, closest_rows=nearest, normal_rows=nearest)
-    back = to_planes(
-        fixed, moving, normals, query_rows=rows_back, closest_rows=nearest_back, normal_rows=rows_back
-    )
+    back = to_planes(fixed, moving, normals, query_rows=rows_back, closest_rows=nearest_back, normal_rows=rows_back)
     squares = _mean_squares(forth, back)
     return {"d2_mse": squares, "d2_rms": _roots(squares)}
 

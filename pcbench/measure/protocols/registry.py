@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pcbench.errors import InputError
+from pcbench.measure.protocols.preset import PRESET_PROTOCOLS
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, parse_settings
 
-_KINDS: tuple[type[BenchmarkProtocol], ...] = ()
+_KINDS: tuple[type[BenchmarkProtocol], ...] = (*PRESET_PROTOCOLS,)
 PROTOCOLS = {kind.name: kind for kind in _KINDS}
 
 
