@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pcbench.report.article import TableCell
     from pcbench.studies.evaluate.results import MethodComparison
 
-INCOMPLETE = 3
+INCOMPLETE = 4
 """Exit code if a pair has no scores."""
 
 
@@ -83,7 +83,7 @@ def evaluate(
 
     Both are paths with the placeholder {scene}; CANDIDATES also have {method}, or there is one path for each method, as
     PATH or NAME=PATH. Without placeholders, one pair is evaluated. The result says which method is best in which score,
-    by how much, and whether the difference is told from chance over the scenes. Exit code 3: a pair has no scores.
+    by how much, and whether the difference is told from chance over the scenes. Exit code 4: a pair has no scores.
 
     \b
     Example: pcbench evaluate 'gt/{scene}.ply' '{method}/{scene}/mesh.ply' --out table/

@@ -56,8 +56,8 @@ class PcbenchProtocol:
 
     name: ClassVar[str] = "pcbench"
     title: ClassVar[str] = "pcbench"
-    citation: ClassVar[str] = "pcbench, Definitions"
-    version: ClassVar[str] = "pcbench itself"
+    citation: ClassVar[str] = "page Definitions of its documentation"
+    version: ClassVar[str] = "pcbench"
 
     def __post_init__(self) -> None:
         _check_settings(self.name, self.thresholds, self.samples)

@@ -75,7 +75,7 @@ def _block(block: Block, folder: Path, pictures: dict[str, EmbeddedPicture]) -> 
             if there := [link for link in links if (folder / link.file).is_file()]:
                 yield {"kind": "links", "links": [{"text": link.text, "address": address(link.file)} for link in there]}
         case DataTable():
-            yield {"kind": "table", "name": block.name, "sortable": block.sortable, **_table(block, folder)}
+            yield {"kind": "table", "name": block.name, "sortable": block.sortable, **_table(block)}
 
 
 class _StyledCell(NamedTuple):
@@ -84,7 +84,7 @@ class _StyledCell(NamedTuple):
     address: str = ""
 
 
-def _table(table: DataTable, folder: Path) -> dict[str, Any]:
+def _table(table: DataTable) -> dict[str, Any]:
     """Return the header of a table, and its rows in groups that have a title if a row is a title alone."""
     head, *rows = [[cell if isinstance(cell, TableCell) else TableCell(cell) for cell in row] for row in table.rows]
     groups: list[dict[str, Any]] = []
@@ -92,23 +92,21 @@ def _table(table: DataTable, folder: Path) -> dict[str, Any]:
         if is_title:
             groups += [{"title": row[0].text, "rows": []} for row in group]
         elif groups and not groups[-1]["rows"]:
-            groups[-1]["rows"] = _styled(group, table.labels, folder)
+            groups[-1]["rows"] = _styled(group, table.labels)
         else:
-            groups.append({"title": "", "rows": _styled(group, table.labels, folder)})
+            groups.append({"title": "", "rows": _styled(group, table.labels)})
     heads = [_StyledCell(cell.text, "text" if k < table.labels else "") for k, cell in enumerate(head)]
     return {"head": heads, "groups": groups}
 
 
-def _styled(rows: Iterator[Sequence[TableCell]], labels: int, folder: Path) -> list[list[_StyledCell]]:
+def _styled(rows: Iterator[Sequence[TableCell]], labels: int) -> list[list[_StyledCell]]:
     return [
-        [_StyledCell(cell.text, _style(cell, k < labels), _address(cell, folder)) for k, cell in enumerate(row)]
+        [
+            _StyledCell(cell.text, _style(cell, k < labels), cell.file and address(cell.file))
+            for k, cell in enumerate(row)
+        ]
         for row in rows
     ]
-
-
-def _address(cell: TableCell, folder: Path) -> str:
-    """Return the address that a cell links to, if the page exists."""
-    return address(cell.file) if cell.file and (folder / cell.file).is_file() else ""
 
 
 def _style(cell: TableCell, is_label: bool) -> str:

@@ -26,6 +26,7 @@ from pcbench.studies.frame.canvas import (
 TIME = "time"
 _MAX_PANELS = 6
 _COLUMNS = 3
+_MARKERS = "osD^v"  # of methods whose colours are the same
 
 # Draws the chart of a study's folder.
 PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,))
@@ -52,8 +53,8 @@ def draw_charts(study: MethodComparison, folder: Path) -> list[Path]:
 
 
 def has_times(study: MethodComparison) -> bool:
-    """Return whether methods have times."""
-    return bool(mean_times(study))
+    """Return whether a method has a time and a mean."""
+    return any(mean.mean is not None and mean.method in mean_times(study) for mean in study.means)
 
 
 def mean_times(study: MethodComparison) -> dict[str, float]:
@@ -87,22 +88,17 @@ def time_chart(study: MethodComparison) -> Any:
 
 def _draw_panel(axis: Any, study: MethodComparison, column: ScoreColumn) -> None:
     axis.set_xscale("log")
-    times, front = mean_times(study), list[tuple[float, float]]()
-    sign = 1 if column.better == "lower" else -1
-    means = {mean.method: mean.mean for mean in study.means_of(column.name)}
+    times, sign = mean_times(study), 1 if column.better == "lower" else -1
+    means = {mean.method: mean.mean for mean in study.means_of(column.name) if mean.mean is not None}
+    points = {method: (times[method], means[method]) for method in study.methods if method in times and method in means}
     for number, method in enumerate(study.methods):
-        value = means.get(method)
-        if method in times and value is not None:
-            color = SERIES[number % len(SERIES)]
-            marker = "osD^v"[number // len(SERIES) % 5]
-            axis.plot(times[method], value, marker=marker, color=color, linestyle="none", markersize=7, label=method)
-    best = float("inf")
-    for method in sorted(
-        (m for m in times if means.get(m) is not None), key=lambda m: (times[m], sign * _number(means[m]))
-    ):
-        if sign * _number(means[method]) < best:
-            best = sign * _number(means[method])
-            front.append((times[method], sign * best))
+        if method in points:
+            style = {"color": SERIES[number % len(SERIES)], "marker": _MARKERS[number // len(SERIES) % len(_MARKERS)]}
+            axis.plot(*points[method], linestyle="none", markersize=7, label=method, **style)
+    front: list[tuple[float, float]] = []
+    for seconds, value in sorted(points.values(), key=lambda point: (point[0], sign * point[1])):
+        if not front or sign * value < sign * front[-1][1]:
+            front.append((seconds, value))
     if front:
         axis.step(*zip(*front, strict=True), where="post", color=GREY, linewidth=1.0, zorder=0)
     axis.set_title(heading(column), fontsize=10)
@@ -111,7 +107,3 @@ def _draw_panel(axis: Any, study: MethodComparison, column: ScoreColumn) -> None
     axis.grid(alpha=0.25)
     plain_log_ticks(axis.xaxis)
     axis.tick_params(labelsize=8)
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

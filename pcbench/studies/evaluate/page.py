@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 from pcbench.report.article import (
@@ -69,7 +69,7 @@ def protocol_text(study: MethodComparison) -> str:
     protocol = study.protocol
     settings = ", ".join(f"{name} {_setting(value)}" for name, value in protocol.settings.items())
     return (
-        f"Protocol {protocol.text}: {protocol.citation}; as computed by {protocol.version}."
+        f"Protocol {protocol.text} ({protocol.citation}), as computed by {protocol.version}."
         + (f" Settings: {settings}." if settings else "")
         + f" Seed {study.settings.seed}."
     )
@@ -82,10 +82,10 @@ def _setting(value: object) -> str:
 def _differences(study: MethodComparison) -> Iterator[Block]:
     yield DataTable("Differences to the best method", difference_rows(study))
     yield Paragraph(
-        f"Differences are means over the scenes, in which methods are compared pair by pair. The intervals are from a"
-        f" studentized bootstrap over scenes; those of one score hold together with a probability of {percent(study.level)}."
-        " If an interval contains zero, these scenes do not tell the method from the best one. Mean rank: mean of the"
-        " ranks in the scenes."
+        "Differences are means over the scenes, in which methods are compared pair by pair. The intervals are from a"
+        " studentized bootstrap over scenes; those of all pairs of methods hold together with a probability of"
+        f" {percent(study.level)}, because the best method is chosen afterwards. If an interval contains zero, these"
+        " scenes do not tell the method from the best one. Mean rank: mean of the ranks in the scenes."
     )
 
 
@@ -164,13 +164,16 @@ def _pose(pair: PairEvaluation) -> str:
     return "as given" if pair.register == "none" else pair.register
 
 
-def _values(columns: Sequence[ScoreColumn], values: dict[str, float | None] | object) -> list[list[str]]:
-    assert isinstance(values, dict)
+def _values(columns: Sequence[ScoreColumn], values: Mapping[str, float | None]) -> list[list[str]]:
+    """Return header and rows of the values of a pair, without columns that are empty."""
     rows = [["", "value", "unit", "better"]]
     for column in columns:
-        value = values[column.name]
-        text = (
-            UNKNOWN if value is None else f"{value:,.0f}" if value == int(value) and value >= 1000 else f"{value:.7g}"
-        )
-        rows.append([column.name, text, column.unit, column.better or ""])
-    return rows
+        rows.append([column.name, _value_text(values[column.name]), column.unit, column.better or ""])
+    has_text = [number < 2 or any(row[number] for row in rows[1:]) for number in range(len(rows[0]))]
+    return [[text for text, is_kept in zip(row, has_text, strict=True) if is_kept] for row in rows]
+
+
+def _value_text(value: float | None) -> str:
+    if value is None:
+        return UNKNOWN
+    return f"{value:,.0f}" if value.is_integer() and abs(value) >= 1000 else f"{value:.7g}"

@@ -182,7 +182,7 @@ class MethodComparison:
         methods: names of the methods.
         pairs: the evaluation of each pair, by scene and method.
         means: means over scenes of each score and method.
-        level: probability with which all intervals of differences of one score hold together.
+        level: probability with which the intervals of all pairs of methods hold together, for each score.
         sentences: the answer in words.
         warnings: what not to trust.
         provenance: version, commit, machine and time.

@@ -147,15 +147,17 @@ def run_evaluation(
         study = _study(plan, settings, protocol, records)
         if out is None:
             return StudyOutcome(study)
-        step("writing the pages of the pairs")
-        _write_pair_pages(out, study, records)
 
         def draw() -> Drawn:
             step("drawing charts")
             return draw_here(lambda: draw_charts(study, out))
 
         texts = {CSV: evaluate_csv(study), MEANS: means_csv(study), LATEX: evaluate_latex(study)}
-        return publish(out, KIND, study, texts, draw if figures else None, partial(article, study), study.provenance)
+        draw_chart = draw if figures else None
+        outcome = publish(out, KIND, study, texts, draw_chart, partial(article, study), study.provenance)
+        step("writing the pages of the pairs")
+        _write_pair_pages(out, study, records)
+        return outcome
 
 
 def _evaluate_all(
@@ -205,12 +207,15 @@ def _study(
     pairs = tuple(record.pair for record in records)
     columns = _all_columns(records)
     names = [column.name for column in columns]
-    if columns and (unknown := [name for name in settings.columns if name not in names]):
-        raise InputError(f"--columns {unknown[0]}: expected one of {', '.join(names)}")
+    notes = list(plan.notes)
+    for name in settings.columns:
+        if columns and name not in names:
+            notes.append(f"no score is called {name!r}: expected --columns of {', '.join(names)}")
+    settings = replace(settings, columns=tuple(name for name in settings.columns if name in names))
     info = ProtocolInfo(protocol_text(protocol), protocol.title, protocol.citation, protocol.version, _fields(protocol))
     methods = tuple(dict.fromkeys(pair.method for pair in pairs))
     study = MethodComparison(
-        settings=settings if columns else replace(settings, columns=()),
+        settings=settings,
         protocol=info,
         columns=columns,
         scenes=tuple(dict.fromkeys(pair.scene for pair in pairs)),
@@ -220,7 +225,7 @@ def _study(
         level=LEVEL,
         provenance=provenance(settings.seed),
     )
-    return replace(study, sentences=tuple(answer(study)), warnings=tuple(warnings(study, plan.notes)))
+    return replace(study, sentences=tuple(answer(study)), warnings=tuple(warnings(study, notes)))
 
 
 def _fields(protocol: BenchmarkProtocol) -> dict[str, object]:
