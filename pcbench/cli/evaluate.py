@@ -125,7 +125,7 @@ def _print_study(study: MethodComparison) -> None:
     if len(study.pairs) == 1:
         (pair,) = study.pairs
         counts = [[name, "" if value is None else f"{value:,.15g}"] for name, value in pair.counts.items()]
-        click.echo(text_table([[c.name, score_text(pair.scores[c.name], c.unit)] for c in study.columns]))
+        click.echo(text_table([[c.name, score_text(pair.scores[c.name], c.unit)] for c in study.chosen_columns]))
         click.echo(f"\n{text_table(counts)}" if counts else "")
         click.echo(protocol_text(study))
         for note in pair.notes:

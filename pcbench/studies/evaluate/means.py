@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, freeze
 from pcbench.studies.evaluate.results import MethodMean, PairEvaluation, ScoreColumn
 
 LEVEL = 0.95
@@ -124,8 +125,7 @@ def difference_interval(differences: FloatArray, level: float, seed: int) -> tup
     error = float(_standard_error(np.square(deviations).mean(), count))
     if error == 0:
         return mean, mean
-    generator = np.random.default_rng(seed)
-    weights = generator.multinomial(count, np.full(count, 1 / count), size=_RESAMPLES) / count
+    weights = _resamples(count, seed)
     means = weights @ deviations
     variances = weights @ np.square(deviations) - np.square(means)
     errors = _standard_error(np.maximum(variances, 0.0), count)
@@ -133,6 +133,13 @@ def difference_interval(differences: FloatArray, level: float, seed: int) -> tup
     tail = (1 - level) / 2
     low, high = np.quantile(statistics, [tail, 1 - tail])
     return mean - float(high) * error, mean - float(low) * error
+
+
+@lru_cache(maxsize=2)
+def _resamples(count: int, seed: int) -> FloatArray:
+    """Return the share of each scene in each resample (R, N), the same for all scores and methods."""
+    draws = np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), size=_RESAMPLES)
+    return freeze(draws / count)
 
 
 def _standard_error(variance: FloatArray | float, count: int) -> FloatArray:

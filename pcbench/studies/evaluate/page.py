@@ -36,7 +36,7 @@ def article(study: MethodComparison, figures: Sequence[str] = ()) -> Article:
     """Return an evaluation as an article; `figures` are the files of its chart, relative to its folder."""
     pictures = partial(drawn_pictures, figures, _CAPTIONS)
     means = DataTable("Means over scenes", mean_rows(study), sortable=True)
-    legend = Paragraph(f"{_MARKS} A click on a heading sorts the rows.")
+    legend = Paragraph(_MARKS)
     average = "Means over scenes" if len(study.scenes) > 1 else f"Scores on {study.scenes[0]}"
     sections = [ArticleSection(average, [means, legend])]
     sections += [ArticleSection("Accuracy against time", [picture]) for picture in pictures(TIME)]
@@ -67,16 +67,12 @@ def _subject(study: MethodComparison) -> str:
 def protocol_text(study: MethodComparison) -> str:
     """Return a sentence about the protocol, its source and its settings."""
     protocol = study.protocol
-    settings = ", ".join(f"{name} {_setting(value)}" for name, value in protocol.settings.items())
+    settings = ", ".join(f"{name} {value}" for name, value in protocol.settings.items())
     return (
         f"Protocol {protocol.text} ({protocol.citation}), as computed by {protocol.version}."
         + (f" Settings: {settings}." if settings else "")
         + f" Seed {study.settings.seed}."
     )
-
-
-def _setting(value: object) -> str:
-    return ("/".join(map(str, value)) or "none") if isinstance(value, tuple | list) else str(value)
 
 
 def _differences(study: MethodComparison) -> Iterator[Block]:

@@ -201,17 +201,16 @@ def _planned(
     for (key, method), path in paths.items():
         if key not in references:
             pairs.append(PlannedPair(key, method, "", path, missing=f"no reference for the scene {key}"))
-    notes = []
-    if without_candidates:
-        several = "scenes have" if len(without_candidates) > 1 else "scene has"
-        notes.append(f"{len(without_candidates)} {several} no candidate and {_listed(without_candidates)} left out")
-    return EvaluationPlan(tuple(pairs), tuple(notes))
+    return EvaluationPlan(tuple(pairs), tuple(_left_out(without_candidates, len(references))))
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:_MAX_LISTED])
-    rest = f" and {len(names) - _MAX_LISTED} others" if len(names) > _MAX_LISTED else ""
-    return f"{'are' if len(names) > 1 else 'is'} ({shown}{rest})"
+def _left_out(names: Sequence[str], total: int) -> Iterator[str]:
+    """Yield a note on scenes without candidates, if there are any."""
+    if names:
+        verbs = ("have", "are") if len(names) > 1 else ("has", "is")
+        shown = ", ".join(names[:_MAX_LISTED])
+        rest = f" and {len(names) - _MAX_LISTED} others" if len(names) > _MAX_LISTED else ""
+        yield f"{len(names)} of {total} scenes {verbs[0]} no candidate and {verbs[1]} left out: {shown}{rest}"
 
 
 def plan_csv(file: Path, *, register: str = "none", crop: str = "none") -> EvaluationPlan:

@@ -46,14 +46,14 @@ class ProtocolInfo:
         title: name of the benchmark, for people.
         citation: paper that defines it.
         version: official program whose numbers it reproduces.
-        settings: all its settings by name.
+        settings: all its settings by name, as text.
     """
 
     text: str
     title: str
     citation: str
     version: str
-    settings: Mapping[str, Any]
+    settings: Mapping[str, str]
 
 
 @dataclass(frozen=True)

@@ -212,7 +212,9 @@ def _study(
         if columns and name not in names:
             notes.append(f"no score is called {name!r}: expected --columns of {', '.join(names)}")
     settings = replace(settings, columns=tuple(name for name in settings.columns if name in names))
-    info = ProtocolInfo(protocol_text(protocol), protocol.title, protocol.citation, protocol.version, _fields(protocol))
+    info = ProtocolInfo(
+        protocol_text(protocol), protocol.title, protocol.citation, protocol.version, _setting_texts(protocol)
+    )
     methods = tuple(dict.fromkeys(pair.method for pair in pairs))
     study = MethodComparison(
         settings=settings,
@@ -228,8 +230,10 @@ def _study(
     return replace(study, sentences=tuple(answer(study)), warnings=tuple(warnings(study, notes)))
 
 
-def _fields(protocol: BenchmarkProtocol) -> dict[str, object]:
-    return asdict(protocol)  # type: ignore[call-overload, no-any-return]
+def _setting_texts(protocol: BenchmarkProtocol) -> dict[str, str]:
+    """Return all settings of a protocol in words."""
+    values: dict[str, object] = asdict(protocol)  # type: ignore[call-overload]
+    return {name: "/".join(map(str, v)) or "none" if isinstance(v, tuple) else str(v) for name, v in values.items()}
 
 
 def _all_columns(records: Iterable[PairRecord]) -> tuple[ScoreColumn, ...]:

@@ -44,7 +44,7 @@ def _best(study: MethodComparison, column: ScoreColumn) -> str:
     if first.scenes == 1:
         return f"{start}."
     if first.scenes < MIN_SCENES:
-        return f"{start}; whether that is chance would be told by {MIN_SCENES} or more scenes."
+        return f"{start}; {MIN_SCENES} or more scenes would tell whether that is chance."
     if similar := [mean.method for mean in others if not mean.differs]:
         return f"{start}; these scenes do not tell {first.method} from {join_words(similar)}."
     return f"{start}; {'this difference' if len(others) == 1 else 'each difference to the others'} excludes zero."
