@@ -152,7 +152,7 @@ class MpegProtocol(PresetProtocol):
 
 @dataclass(frozen=True)
 class PdalProtocol(PresetProtocol):
-    """What `pdal chamfer` and `pdal hausdorff` print, see `pcbench.measure.presets.pdal`."""
+    """Numbers that `pdal chamfer` and `pdal hausdorff` print, see `pcbench.measure.presets.pdal`."""
 
     name: ClassVar[str] = "pdal"
     title: ClassVar[str] = "PDAL"
@@ -162,7 +162,7 @@ class PdalProtocol(PresetProtocol):
 
 @dataclass(frozen=True)
 class Open3dProtocol(PresetProtocol):
-    """What Open3D's `compute_metrics` returns, see `pcbench.measure.presets.open3d`.
+    """Numbers that Open3D's `compute_metrics` returns, see `pcbench.measure.presets.open3d`.
 
     Attributes:
         thresholds: distance thresholds of the F-score.

@@ -146,7 +146,7 @@ def pair_answer(record: PairRecord) -> str:
 
 def score_text(value: float | None, unit: str) -> str:
     """Return a score with its unit; a dash for None."""
-    return UNKNOWN if value is None else f"{value:.6g} {unit}".rstrip()
+    return UNKNOWN if value is None else f"{value:.8g} {unit}".rstrip()
 
 
 def _pair_setup(record: PairRecord) -> Iterator[str]:

@@ -129,8 +129,10 @@ def plan_patterns(
             methods[name] = pattern
         for values, path in pattern.files():
             method = name if name is not None else values["method"]
-            methods.setdefault(method, pattern)
             key = (_scene_key(values.get("scene", "")), method)
+            if name is None and _is_same_file(path, references.get(key[0])):
+                continue  # {method} also matches the folder of the references
+            methods.setdefault(method, pattern)
             if key in paths:
                 raise InputError(
                     f"{path}: expected one candidate for each scene and method, got also {paths[key]}: make the"
@@ -140,6 +142,10 @@ def plan_patterns(
     if not paths:
         raise InputError(f"no file matches {' or '.join(candidates)}: check the folder and the placeholders")
     return _planned(references, methods, paths, register, crop)
+
+
+def _is_same_file(path: str, reference: tuple[str, str] | None) -> bool:
+    return reference is not None and Path(path).resolve() == Path(reference[1]).resolve()
 
 
 def _references(truth: _Pattern) -> dict[str, tuple[str, str]]:

@@ -47,7 +47,7 @@ class PairTask:
 
 @dataclass(frozen=True)
 class SharedSettings:
-    """What all pairs share.
+    """Settings that all pairs share.
 
     Attributes:
         out: folder of the evaluation; None: results are not stored.

@@ -47,7 +47,8 @@ def _best(study: MethodComparison, column: ScoreColumn) -> str:
         return f"{start}; {MIN_SCENES} or more scenes would tell whether that is chance."
     if similar := [mean.method for mean in others if not mean.differs]:
         return f"{start}; these scenes do not tell {first.method} from {join_words(similar)}."
-    return f"{start}; {'this difference' if len(others) == 1 else 'each difference to the others'} excludes zero."
+    which = "this interval" if len(others) == 1 else "the interval of each difference to it"
+    return f"{start}; {which} excludes zero."
 
 
 def _difference(mean: MethodMean, unit: str) -> str:

@@ -57,6 +57,13 @@ def test_without_placeholders_there_is_one_pair(files):
     assert [(pair.scene, pair.method) for pair in plan.pairs] == [("scan001", "a"), ("scan001", "b")]
 
 
+def test_references_are_no_candidates_of_themselves(files):
+    (files / "ours").mkdir()
+    (files / "ours/scan001.ply").touch()
+    plan = plan_patterns("gt/scan{scene}.ply", ["{method}/scan{scene}.ply"])
+    assert [(pair.scene, pair.method) for pair in plan.pairs] == [("001", "ours")]
+
+
 def test_a_repeated_placeholder_has_one_value(files):
     for path in ("c/x/x.ply", "c/x/y.ply", "gt2/x.ply", "gt2/y.ply", "c/[1]/[1].ply", "gt2/[1].ply"):
         (files / path).parent.mkdir(parents=True, exist_ok=True)
