@@ -1,4 +1,4 @@
-"""What all protocols have: inputs, settings with the official defaults, and the numbers that they print."""
+"""Common parts of all protocols: inputs, settings with the official defaults, and the numbers that they print."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ProtocolScore(NamedTuple):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a protocol says about one candidate.
+    """Result of a protocol for one candidate.
 
     Attributes:
         protocol: text of the protocol with the settings that differ from its defaults, such as `dtu:thinning=0.5`.
@@ -57,7 +57,7 @@ def _ignore(_: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class EvaluationInputs:
-    """What is evaluated.
+    """Inputs of an evaluation.
 
     Attributes:
         reference: ground truth: a file that the protocol can read, or a shape in memory.
