@@ -6,8 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -29,7 +29,6 @@ from pcbench.io.source import Source
 from pcbench.measure import presets
 from pcbench.measure.metrics import FScore
 from pcbench.measure.protocols.protocol import (
-    Better,
     Evaluation,
     EvaluationInputs,
     ProtocolScore,
@@ -91,6 +90,7 @@ class PresetProtocol:
 
     Attributes:
         samples: number of points that are sampled on a candidate mesh; 0: ten per point of the reference.
+        squares: names of scores in squared units, besides those that end in `_mse`.
     """
 
     samples: int = 0
@@ -99,6 +99,7 @@ class PresetProtocol:
     title: ClassVar[str] = ""
     citation: ClassVar[str] = ""
     version: ClassVar[str] = ""
+    squares: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         _check_settings(self.name, self._thresholds(), self.samples)
@@ -126,7 +127,7 @@ class PresetProtocol:
             normals, given = (None if each is None else each[rows_back] for each in (normals, given))
         cropped = presets.match(index, Index(moved[rows]), nearest_other, normals, given)
         result = presets.measure_preset(self.name, cropped, self._thresholds())
-        scores = tuple(_preset_scores(result, pair.unit))
+        scores = tuple(_preset_scores(result, pair.unit, self.squares))
         return Evaluation(protocol_text(self), scores, pair.counts(len(rows), len(rows_back)), pair.notes)
 
 
@@ -138,6 +139,7 @@ class Gao2025Protocol(PresetProtocol):
     title: ClassVar[str] = "Gao et al. 2025"
     citation: ClassVar[str] = "Gao et al. 2025, table 2"
     version: ClassVar[str] = "the paper; its code is not public"
+    squares: ClassVar[frozenset[str]] = frozenset({"chamfer"})
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,7 @@ class MpegProtocol(PresetProtocol):
     title: ClassVar[str] = "MPEG pc_error"
     citation: ClassVar[str] = "Tian et al. 2017, Geometric distortion metrics for point cloud compression"
     version: ClassVar[str] = "mpeg-pcc-dmetric 0.14.2"
+    squares: ClassVar[frozenset[str]] = frozenset({"hausdorff_squared_d1", "hausdorff_squared_d2"})
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,7 @@ class PdalProtocol(PresetProtocol):
     title: ClassVar[str] = "PDAL"
     citation: ClassVar[str] = "PDAL contributors, pdal chamfer and pdal hausdorff"
     version: ClassVar[str] = "PDAL 2"
+    squares: ClassVar[frozenset[str]] = frozenset({"chamfer"})
 
 
 @dataclass(frozen=True)
@@ -320,15 +324,13 @@ def _fscore_parts(at_threshold: FScore) -> Iterator[ProtocolScore]:
         yield ProtocolScore(f"{name}@{at_threshold.threshold:g}", getattr(at_threshold, name), better="higher")
 
 
-def _preset_scores(result: presets.Preset, unit: str) -> Iterator[ProtocolScore]:
-    """Yield the numbers of a preset that exist; those of both directions have the direction in their name."""
-    squared = f"{unit}²" if unit else ""
+def _preset_scores(result: presets.Preset, unit: str, squares: Collection[str]) -> Iterator[ProtocolScore]:
+    """Yield the numbers of a preset; those of both directions have the direction in their name."""
     for item in fields(result):
-        value = getattr(result, item.name)
-        is_squared = "_mse" in item.name or "squared" in item.name or (item.name == "chamfer" and _sums_squares(result))
-        length = squared if is_squared else unit
-        better: Better | None = None if item.name == "peak" else "lower"
-        if isinstance(value, presets.DirectedValues):
+        value: Any = getattr(result, item.name)
+        is_squared = item.name.endswith("_mse") or item.name in squares
+        length = f"{unit}²" if unit and is_squared else unit
+        if is_dataclass(value):
             for way in fields(value):
                 yield ProtocolScore(f"{item.name}.{way.name}", getattr(value, way.name), length)
         elif isinstance(value, tuple):
@@ -336,9 +338,5 @@ def _preset_scores(result: presets.Preset, unit: str) -> Iterator[ProtocolScore]
                 yield from _fscore_parts(at_threshold)
         elif item.name.endswith("_psnr"):
             yield ProtocolScore(item.name, value, "dB", "higher")
-        elif item.name != "d2_poisson_mse":
-            yield ProtocolScore(item.name, value, length, better)
-
-
-def _sums_squares(result: presets.Preset) -> bool:
-    return isinstance(result, presets.Gao2025 | presets.Pdal)
+        elif item.name != "d2_poisson_mse":  # needs a mesh that this protocol does not make
+            yield ProtocolScore(item.name, value, length, None if item.name == "peak" else "lower")
