@@ -20,7 +20,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
+from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
@@ -193,17 +193,16 @@ class _PreparedReference:
     cloud: Cloud
     origin: FloatArray
     index: Index
+    is_mesh: bool
     note: str
 
     @classmethod
     def of(cls, shape: Cloud | Mesh, seed: int) -> _PreparedReference:
         cloud = sample_reference(shape, seed)
         origin = np.floor(cloud.points.mean(axis=0))
-        is_sampled = isinstance(shape, Mesh)
-        note = (
-            f"the reference is a mesh: {len(cloud):,} points sampled on it by area (seed {seed})" if is_sampled else ""
-        )
-        return cls(cloud, origin, Index(cloud.points - origin), note)
+        is_mesh = isinstance(shape, Mesh)
+        note = f"the reference is a mesh: {len(cloud):,} points sampled on it by area (seed {seed})" if is_mesh else ""
+        return cls(cloud, origin, Index(cloud.points - origin), is_mesh, note)
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -238,8 +237,8 @@ class _Pair(NamedTuple):
         inputs.on_step("reading the clouds")
         reference = _prepare(inputs.reference, inputs.seed, notes)
         shape = _read(inputs.candidate, notes)
-        if isinstance(shape, Mesh) and samples:
-            cloud = shape.sample(samples, inputs.seed)
+        if isinstance(shape, Mesh) and (samples or reference.is_mesh):
+            cloud = shape.sample(samples or REFERENCE_SAMPLES, inputs.seed)
         else:
             cloud = sample_candidate(shape, reference.cloud, inputs.seed)
         pose = Similarity.identity() if inputs.pose is None else inputs.pose

@@ -45,8 +45,10 @@ def draw_charts(study: MethodComparison, folder: Path) -> list[Path]:
         MissingExtra: matplotlib is not installed.
         OSError: a file cannot be written.
     """
-    if has_times(study):
-        require("matplotlib.figure")
+    if not has_times(study):
+        delete_former_charts(folder, ())
+        return []
+    require("matplotlib.figure")
     files = save_charts(folder, _charts(study))
     delete_former_charts(folder, files)
     return files
