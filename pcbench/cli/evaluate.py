@@ -128,8 +128,8 @@ def _print_study(study: MethodComparison) -> None:
         click.echo(text_table([[c.name, score_text(pair.scores[c.name], c.unit)] for c in study.chosen_columns]))
         click.echo(f"\n{text_table(counts)}" if counts else "")
         click.echo(protocol_text(study))
-        for note in pair.notes:
-            click.echo(f"note: {note}")
+        for line in study.warnings:
+            click.echo(f"note: {line}")
         return
     for sentence in study.sentences:
         click.echo(sentence)

@@ -61,6 +61,8 @@ class _Pattern:
 
     def __init__(self, text: str) -> None:
         self.text = text.replace("\\", "/") if Path("\\").parts != ("\\",) else text
+        if not text:
+            raise InputError("expected the path of a file, with placeholders if there are several, got an empty text")
         if wrong := [part for part in _ANY_BRACES.findall(text) if not _PLACEHOLDER.fullmatch(part)]:
             raise InputError(f"{text}: expected the placeholders {{scene}} and {{method}}, got {wrong[0]}")
         self.placeholders = frozenset(_PLACEHOLDER.findall(text))

@@ -34,6 +34,7 @@ from pcbench.tasks.codec import fingerprint
 PAIRS, RECORD = "pairs", "evaluation.json"
 _OWN_MODULES = ("runs",)
 _PAIR_SECONDS = 1.0  # rough duration of the evaluation of a pair, for progress
+_NO_REFERENCE = Cloud(np.zeros((1, 3)))  # for regions that do not depend on the reference
 _UNSAFE = re.compile(r"[^\w.-]+")
 
 
@@ -210,14 +211,27 @@ def _columns(scores: Iterable[ProtocolScore]) -> tuple[ScoreColumn, ...]:
     return tuple(ScoreColumn(score.name, score.unit, score.better) for score in scores)
 
 
+def check_crop(text: str) -> None:
+    """Refuse the text of an invalid region before any work; a file may be missing for some pairs.
+
+    Raises:
+        InputError: it is none of the forms of `pcbench.parse_region`.
+    """
+    if region_file(text) is None and not _is_relative(text):
+        parse_region(text, _NO_REFERENCE)
+
+
 def _region(pair: PlannedPair) -> Region | None:
     """Return the region of a pair; its reference is read only if the region is relative to it."""
-    if pair.crop == "none":
-        return None
-    if pair.crop.partition(":")[0].strip().lower() in ("reference", "quantile"):
-        shape = Source.open(pair.reference).read(lambda _: None)
-        return parse_region(pair.crop, sample_reference(shape))
-    return parse_region(pair.crop, Cloud(np.zeros((1, 3))))  # this region does not depend on the reference
+    if not _is_relative(pair.crop):
+        return parse_region(pair.crop, _NO_REFERENCE)
+    shape = Source.open(pair.reference).read(lambda _: None)
+    return parse_region(pair.crop, sample_reference(shape))
+
+
+def _is_relative(text: str) -> bool:
+    """Return whether a region depends on the reference."""
+    return text.partition(":")[0].strip().lower() in ("reference", "quantile")
 
 
 def _without_scores(shared: SharedSettings, task: PairTask, status: Status, message: str) -> PairRecord:

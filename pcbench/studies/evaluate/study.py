@@ -34,7 +34,7 @@ from pcbench.studies.evaluate.results import (
     ProtocolInfo,
     ScoreColumn,
 )
-from pcbench.studies.evaluate.runs import evaluate_alone, evaluate_pairs, shared_settings
+from pcbench.studies.evaluate.runs import check_crop, evaluate_alone, evaluate_pairs, shared_settings
 from pcbench.studies.evaluate.table import evaluate_csv, evaluate_latex, means_csv
 from pcbench.studies.evaluate.words import answer, warnings
 from pcbench.studies.frame.folder import check_folder, study_folder
@@ -134,8 +134,9 @@ def run_evaluation(
     """
     protocol = parse_protocol(settings.protocol)
     check_inputs(plan.pairs, out)
-    for method in {pair.register for pair in plan.pairs if not pair.missing}:
-        _check_method(method)
+    for pair in {(pair.register, pair.crop): pair for pair in plan.pairs if not pair.missing}.values():
+        _check_method(pair.register)
+        check_crop(pair.crop)
     with ExitStack() as stack:
         if out is None:
             scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -178,6 +178,7 @@ def test_wrong_arguments_are_refused_before_any_work(tmp_path):
     for arguments in (
         {"protocol": "nothing"},
         {"register": "magic"},
+        {"crop": "pyramid:1"},
         {"protocol_data": tmp_path / "nowhere"},
         {"pairs": tmp_path / "pairs.csv"},
     ):
