@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from pcbench.io.meshes import read_mesh as read_mesh
     from pcbench.measure import metrics as metrics
     from pcbench.measure.m3c2_settings import M3C2Settings as M3C2Settings
+    from pcbench.measure.score_pairs import CloudScore as CloudScore
+    from pcbench.measure.score_pairs import score as score
+    from pcbench.measure.score_pairs import score_many as score_many
     from pcbench.measure.settings import Settings as Settings
     from pcbench.measure.tiled.settings import TilingSettings as TilingSettings
     from pcbench.registration import IcpSettings as IcpSettings
@@ -34,12 +37,14 @@ if TYPE_CHECKING:
     from pcbench.report import plotters as plot  # noqa: F401  # a public name, as the others
     from pcbench.scenes import Scene as Scene
     from pcbench.scenes import read_scene as read_scene
+    from pcbench.studies.evaluate.study import evaluate as evaluate
 
 # Imported on first use, so that a name costs the import of one subpackage only.
 _MODULES = {
     "Affine": "geometry.transform",
     "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
+    "CloudScore": "measure.score_pairs",
     "Comparison": "comparison.result",
     "IcpSettings": "registration",
     "Index": "geometry.neighbors",
@@ -58,6 +63,7 @@ _MODULES = {
     "compare": "comparison.run",
     "crop": "io.crop",
     "deform": "deformation",
+    "evaluate": "studies.evaluate.study",
     "metrics": "measure.metrics",
     "parse_region": "geometry.region_text",
     "plot": "report.plotters",
@@ -65,6 +71,8 @@ _MODULES = {
     "read_mesh": "io.meshes",
     "read_scene": "scenes",
     "register": "registration",
+    "score": "measure.score_pairs",
+    "score_many": "measure.score_pairs",
     "write_cloud": "io",
 }
 

@@ -15,6 +15,7 @@ from pcbench.cli import (
     checkpoints,
     clouds,
     convert,
+    evaluate,
     experiments,
     reconstruction,
     reports,
@@ -46,7 +47,8 @@ for _command in (
     *(clouds.info, clouds.crop, clouds.register, convert.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),
-    *(studies.demo, studies.bench, studies.views, stress.stress, tradeoff.tradeoff, experiments.experiment),
+    *(evaluate.evaluate, studies.demo, studies.bench, studies.views, stress.stress, tradeoff.tradeoff),
+    experiments.experiment,
 ):
     log_settings(_command)
     app.add_command(_command)

@@ -257,7 +257,7 @@ def plot(
     The pictures of a report are written into PATH/figures, all or those of NAMES. NAMES of a report are, for example,
     reference, distribution, and for a candidate a a_distance and a_completeness; of a bench, speed and
     accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth; of `experiment
-    bend`, bend; of stress and tradeoff, the names of the charts. An extension selects the format, as in
+    bend`, bend; of stress, tradeoff and evaluate, the names of the charts. An extension selects the format, as in
     distribution.svg. Options replace the recorded appearance.
 
     A cloud is drawn in its own colours, by height if it has none, or by an attribute (--scalar), into a file in the
@@ -313,19 +313,20 @@ def _plot_report(
     from pcbench.studies.bench.charts import CHARTS
     from pcbench.studies.bend.figure import PICTURES as BEND
     from pcbench.studies.checkpoints.charts import PICTURES as CHECK_POINTS
+    from pcbench.studies.evaluate.charts import PICTURES as EVALUATION
     from pcbench.studies.gao.figures import PICTURES as GAO
     from pcbench.studies.stress.charts import PICTURES as STRESS
     from pcbench.studies.tradeoff.charts import PICTURES as TRADEOFF
     from pcbench.studies.views.pictures import PICTURES as VIEWS
 
     complete_replacement(report)
-    kinds = (REPORT, CHANGE, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, CHECK_POINTS)
+    kinds = (REPORT, CHANGE, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, EVALUATION, CHECK_POINTS)
     drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
             f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a change"
             " (change.json), a bench (bench.json), views (scores.json), an experiment (experiment.json), stress"
-            " (stress.json), tradeoff (tradeoff.json) or check points (checkpoints.json)"
+            " (stress.json), tradeoff (tradeoff.json), evaluate (evaluate.json) or check points (checkpoints.json)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)

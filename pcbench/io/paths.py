@@ -103,10 +103,10 @@ def _copies_warning(paths: Collection[Path]) -> tuple[str, ...]:
 
 
 def _sorted(paths: Collection[Path]) -> tuple[Path, ...]:
-    return tuple(sorted(paths, key=_natural_key))
+    return tuple(sorted(paths, key=natural_key))
 
 
-def _natural_key(path: Path) -> tuple[list[tuple[int, str]], str]:
+def natural_key(path: str | Path) -> tuple[list[tuple[int, str]], str]:
     """Return a key that sorts numbers in names by value, so that tile_2 comes before tile_10."""
     parts = re.split(r"(\d+)", str(path))
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], str(path)

@@ -1,5 +1,8 @@
 """Compiled kernels. A missing or broken build raises ImportError at the first import; there is no silent fallback."""
 
+import ctypes
+from contextlib import suppress
+
 from pcbench.errors import InputError
 from pcbench.threads import limit_threads
 
@@ -16,4 +19,14 @@ try:
 except RuntimeError as error:  # PCBENCH_ISA names an instruction set that is unknown or unsupported here
     raise InputError(str(error)) from None
 
-__all__ = ["_core"]
+__all__ = ["_core", "one_kernel_thread"]
+
+
+def one_kernel_thread() -> None:
+    """Give the kernels that the calling thread runs one thread each, because other threads run kernels beside it.
+
+    It is silently omitted where the functions of the OpenMP library cannot be called.
+    """
+    with suppress(OSError, AttributeError):
+        # Names are looked up in the module and in the libraries it is linked to, except on Windows.
+        ctypes.CDLL(_core.__file__).omp_set_num_threads(1)

@@ -27,10 +27,17 @@ Mark = Literal["", "best", "second"]
 
 
 class TableCell(NamedTuple):
-    """A cell of a table: its text, and whether it is the best or the second-best value of its column."""
+    """A cell of a table.
+
+    Attributes:
+        text: its text.
+        mark: whether it is the best or the second-best value of its column or row.
+        file: path of the page that it links to, relative to the study's folder; empty for none.
+    """
 
     text: str
     mark: Mark = ""
+    file: str = ""
 
 
 class Link(NamedTuple):
@@ -70,11 +77,13 @@ class DataTable:
         rows: the header and the other rows, all with the same number of cells; a row with only a first cell is the
             title of the rows below it.
         labels: number of leading columns with text, which is aligned to the left; numbers are aligned to the right.
+        sortable: whether a click on the head of a column of the page sorts the rows that have no title.
     """
 
     name: str
     rows: Sequence[Sequence[str | TableCell]]
     labels: int = 1
+    sortable: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,7 +170,7 @@ def _blocks(blocks: Iterable[Block]) -> Iterator[str]:
                 yield f"### {_text(text)}"
             case Bullets(sentences):
                 yield _bullets(sentences)
-            case DataTable(_, rows, labels):
+            case DataTable(_, rows, labels, _):
                 yield markdown_table(([_cell(cell) for cell in row] for row in rows), labels)
             case Figure(file, caption):
                 yield f"!{_link(caption, file)}"
@@ -177,7 +186,8 @@ def _cell(cell: str | TableCell) -> str:
     if isinstance(cell, str):
         return _text(cell)
     emphasis = {"": "", "best": "**", "second": "_"}[cell.mark]
-    return f"{emphasis}{_text(cell.text)}{emphasis}"
+    text = _link(cell.text, cell.file) if cell.file else _text(cell.text)
+    return f"{emphasis}{text}{emphasis}"
 
 
 def _link(text: str, file: str) -> str:

@@ -11,7 +11,7 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 _LATEX = {
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-    **{"→": r"$\to$", "–": "--", "−": "$-$", "²": r"$^2$", "±": r"$\pm$"},
+    **{"→": r"$\to$", "↓": r"$\downarrow$", "↑": r"$\uparrow$", "–": "--", "−": "$-$", "²": r"$^2$", "±": r"$\pm$"},
 }
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, TypeVar
 
-from pcbench.errors import InputError, WorkerError, reason_of
+from pcbench.errors import InputError, PcbenchError, WorkerError, reason_of
 from pcbench.scratch import PARTIAL_SUFFIX
 from pcbench.systems import cpu_count
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
@@ -120,7 +120,8 @@ class TaskRunner:
         *,
         key: str = "",
         title: str = "",
-        skip: Callable[[Task, InputError], None] | None = None,
+        skip: Callable[[Task, PcbenchError], None] | None = None,
+        skip_losses: bool = False,
         kind: Any = None,
     ) -> StageResults[T]:
         """Run a function with the arguments of each task, unless its result is stored already.
@@ -137,6 +138,7 @@ class TaskRunner:
             title: name of the stage in progress messages; by default `stage`.
             skip: called with each task whose function raised an InputError, and with the error. Such a task has no
                 result, and runs again the next time. None: the error ends the stage.
+            skip_losses: whether tasks that end their workers, or need more memory than there is, are skipped as well.
             kind: type of the results if the function's annotation does not state it.
 
         Returns:
@@ -160,7 +162,7 @@ class TaskRunner:
                 calls = {task.name: Call(function, task.arguments, files[task.name], key) for task in missing}
                 for task, error in self._outcomes(missing, calls):
                     if error is not None:
-                        if skip is None:
+                        if skip is None or not (skip_losses or isinstance(error, InputError)):
                             raise error
                         skip(task, error)
                         skipped.add(task.name)
@@ -171,8 +173,8 @@ class TaskRunner:
         kind = kind or result_type(function)
         return StageResults([task for task in tasks if task.name not in skipped], files, key, kind)
 
-    def _outcomes(self, tasks: Sequence[Task], calls: Mapping[str, Call]) -> Iterator[tuple[Task, InputError | None]]:
-        """Run calls on workers, and yield each task when it is done, with the InputError that it raised."""
+    def _outcomes(self, tasks: Sequence[Task], calls: Mapping[str, Call]) -> Iterator[tuple[Task, PcbenchError | None]]:
+        """Run calls on workers, and yield each task when it is done, with the error that only it has."""
         pending, running = deque(tasks), dict[Future[int], Task]()
         losses = Counter[str]()
         while pending or running:
@@ -192,10 +194,11 @@ class TaskRunner:
                 except WorkerLost as loss:
                     losses[task.name] += loss.times
                     if losses[task.name] >= _MAX_LOSSES:
-                        raise WorkerError(self._explain(task, losses[task.name], loss)) from loss
-                    pending.appendleft(task)
-                except MemoryError as error:
-                    raise WorkerError(f"task {task.name} needs too much memory: {self._memory_advice}") from error
+                        yield task, WorkerError(self._explain(task, losses[task.name], loss))
+                    else:
+                        pending.appendleft(task)
+                except MemoryError:
+                    yield task, WorkerError(f"task {task.name} needs too much memory: {self._memory_advice}")
                 else:
                     yield task, None
             pool.keep_connected()

@@ -43,3 +43,17 @@ def test_errors_end_a_study(tmp_path):
             run(task_functions.refused_cell, str(tmp_path), [1, 2, 3], tmp_path, workers)
         assert str(caught.value) == "2: expected another number"
     assert task_functions.calls(tmp_path) == [1, 1]
+
+
+def test_a_cell_that_fails_can_have_a_result(tmp_path):
+    cells = map_cells(
+        task_functions.refused_cell,
+        str(tmp_path),
+        [1, 2, 3],
+        out=tmp_path,
+        workers=Workers(1),
+        step=lambda _: None,
+        cell_seconds=1.0,
+        on_failure=lambda cell, error: (cell, str(error)),
+    )
+    assert list(cells) == [1, (2, "2: expected another number"), 3]

@@ -163,6 +163,18 @@ def test_skipped_tasks_have_no_result(runner):
         results.get("task-1")
 
 
+def test_tasks_that_end_their_workers_are_skipped_if_wanted(runner, tmp_path):
+    skipped = []
+    results = runner.run(
+        "stage",
+        task_functions.ended,
+        [Task(f"task-{x}", (tmp_path, x, 1, 9)) for x in range(3)],
+        skip=lambda task, error: skipped.append((task.name, type(error))),
+        skip_losses=True,
+    )
+    assert values(results) == [0, 2] and skipped == [("task-1", WorkerError)]
+
+
 def test_too_little_memory_says_what_to_do(runner):
     with check_error(WorkerError):
         runner.run("stage", task_functions.wrong_argument, [Task("a", (MemoryError(),))])

@@ -6,10 +6,11 @@ from pcbench.errors import InputError
 from pcbench.measure.protocols.dtu import Dtu
 from pcbench.measure.protocols.eth3d import Eth3d
 from pcbench.measure.protocols.indoor_meshes import IndoorMeshes
+from pcbench.measure.protocols.preset import PRESET_PROTOCOLS
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, parse_settings
 from pcbench.measure.protocols.tnt import TanksAndTemples
 
-_KINDS: tuple[type[BenchmarkProtocol], ...] = (Dtu, Eth3d, TanksAndTemples, IndoorMeshes)
+_KINDS: tuple[type[BenchmarkProtocol], ...] = (*PRESET_PROTOCOLS, Dtu, Eth3d, TanksAndTemples, IndoorMeshes)
 PROTOCOLS = {kind.name: kind for kind in _KINDS}
 
 

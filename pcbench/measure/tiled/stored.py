@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.quantisation import Quantisation
@@ -152,7 +152,7 @@ def store_cloud(
         first_row += piece.count
     left_out = [LeftOut(str(file.path), file.count, file.reason) for file in cloud.left_out]
 
-    def leave_out(task: Task, error: InputError) -> None:
+    def leave_out(task: Task, error: PcbenchError) -> None:
         piece = pieces[task.name]
         reason = str(error).removeprefix(f"{piece.file}: ")
         left_out.append(LeftOut(str(piece.file), piece.count, reason))

@@ -39,6 +39,7 @@ def article_page(article: Article, origin: Origin, folder: Path) -> str:
     files = [block.file for section in article.sections for block in section.blocks if isinstance(block, Figure)]
     pictures = embed(folder, files)
     opening = Opening(article.kind, article.title, "", article.answer, article.warnings)
+    tables = [block for section in article.sections for block in section.blocks if isinstance(block, DataTable)]
     sections = [
         {
             "title": section.title,
@@ -51,6 +52,7 @@ def article_page(article: Article, origin: Origin, folder: Path) -> str:
         "article.html",
         opening,
         origin,
+        script=source("sorting.js") if any(table.sortable for table in tables) else "",
         article_style=source("article.css"),
         setup=one_line_each(article.setup),
         sections=sections,
@@ -73,12 +75,13 @@ def _block(block: Block, folder: Path, pictures: dict[str, EmbeddedPicture]) -> 
             if there := [link for link in links if (folder / link.file).is_file()]:
                 yield {"kind": "links", "links": [{"text": link.text, "address": address(link.file)} for link in there]}
         case DataTable():
-            yield {"kind": "table", "name": block.name, **_table(block)}
+            yield {"kind": "table", "name": block.name, "sortable": block.sortable, **_table(block)}
 
 
 class _StyledCell(NamedTuple):
     text: str
     style: str
+    address: str = ""
 
 
 def _table(table: DataTable) -> dict[str, Any]:
@@ -97,7 +100,13 @@ def _table(table: DataTable) -> dict[str, Any]:
 
 
 def _styled(rows: Iterator[Sequence[TableCell]], labels: int) -> list[list[_StyledCell]]:
-    return [[_StyledCell(cell.text, _style(cell, k < labels)) for k, cell in enumerate(row)] for row in rows]
+    return [
+        [
+            _StyledCell(cell.text, _style(cell, k < labels), cell.file and address(cell.file))
+            for k, cell in enumerate(row)
+        ]
+        for row in rows
+    ]
 
 
 def _style(cell: TableCell, is_label: bool) -> str:

@@ -12,6 +12,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -116,7 +117,9 @@ def script_json(values: Any) -> str:
     return json.dumps(values, allow_nan=False, ensure_ascii=True, separators=(",", ":")).translate(_JSON_ESCAPES)
 
 
+@cache
 def _environment() -> Environment:
+    """Return the environment of all templates, which compiles each of them once."""
     jinja2 = require("jinja2")
     made: Environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(source),

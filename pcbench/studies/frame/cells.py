@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from pcbench.errors import PcbenchError
 from pcbench.progress import Step
 from pcbench.scratch import scratch_folder
 from pcbench.tasks import Task, TaskRunner, Workers
@@ -40,6 +41,7 @@ def map_cells(
     workers: Workers | None,
     step: Callable[[str], None],
     cell_seconds: float,
+    on_failure: Callable[[C, PcbenchError], R] | None = None,
 ) -> Iterator[R]:
     """Yield the results of a study's cells in their order.
 
@@ -55,6 +57,8 @@ def map_cells(
         workers: where the cells run; None: in this process, one after another.
         step: progress callback.
         cell_seconds: rough duration of a cell, for progress bars.
+        on_failure: returns the result of a cell that raised an InputError or ended its workers, such as one that needs
+            too much memory; None: such a cell ends the study. Without workers it is not called.
     """
     if workers is None:
         for number, cell in enumerate(cells, 1):
@@ -66,8 +70,24 @@ def map_cells(
         TaskRunner(workers, folder, step, unit="runs", memory_advice=MEMORY_ADVICE) as runner,
     ):
         tasks = [Task(f"cell-{n}", (Path.cwd(), function, shared, cell)) for n, cell in enumerate(cells)]
-        for _, result in runner.run("cells", _run_cell, tasks, title="done", kind=result_type(function)):
-            yield result
+        failures: dict[str, PcbenchError] = {}
+        skip = None if on_failure is None else lambda task, error: failures.update({task.name: error})
+        results = iter(
+            runner.run(
+                "cells",
+                _run_cell,
+                tasks,
+                title="done",
+                skip=skip,
+                skip_losses=on_failure is not None,
+                kind=result_type(function),
+            )
+        )
+        for task, cell in zip(tasks, cells, strict=True):
+            if on_failure is not None and task.name in failures:
+                yield on_failure(cell, failures[task.name])
+            else:
+                yield next(results)[1]
 
 
 class _Steps:

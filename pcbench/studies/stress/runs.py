@@ -17,8 +17,8 @@ from pcbench.children import run_module
 from pcbench.errors import InputError
 from pcbench.extras import installed_versions
 from pcbench.io.json_values import from_json
-from pcbench.plugins.code import digest_files, plugin_files
 from pcbench.studies.frame.cells import MEMORY_ADVICE
+from pcbench.studies.frame.code import measuring_code_digest
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.stress.cells import RECORDS, RunPlan, failed_run
 from pcbench.studies.stress.child import MISSING_LIBRARY
@@ -32,8 +32,7 @@ WORK = "work"  # folder of temporary files
 _CHILD = "pcbench.studies.stress.child"
 _KILLED = "SIGKILL"  # message of a run whose process was killed, as by a system without memory
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
-# Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
-_INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
+# Modules of this study that a run depends on.
 _OWN_MODULES = (
     "cells",
     "changes",
@@ -126,16 +125,7 @@ def run_all(
 
 def code_digest() -> str:
     """Return the SHA-256 of the code of pcbench that results of runs depend on."""
-    files = [(name, path) for name, path in plugin_files("pcbench") if _matters(name)]
-    return digest_files(files)
-
-
-def _matters(name: str) -> bool:
-    parts = Path(name).with_suffix("").parts
-    inside = "/".join(parts[1:]) if parts and parts[0] == "pcbench" else "/".join(parts)
-    if inside.startswith("studies/stress/"):
-        return parts[3] in _OWN_MODULES
-    return not any(inside.startswith(f"{folder}/") for folder in _INDEPENDENT_FOLDERS)
+    return measuring_code_digest("stress", _OWN_MODULES)
 
 
 def _batches(plans: Iterable[RunPlan], size: int) -> Iterator[list[RunPlan]]:

@@ -1,0 +1,1 @@
+"""`pcbench evaluate`: many scenes and methods by one protocol, in one table."""

@@ -1,0 +1,72 @@
+"""The command `pcbench evaluate`: one pair, a table of methods, --json, exit codes and errors of one line."""
+
+import json
+
+from command_line import is_one_line, without_progress
+from wording import check_text
+
+FAST = ("--protocol", "open3d", "--workers", 1)
+
+
+def test_one_pair_prints_its_scores(files, run):
+    code, out, err = run("evaluate", "ref.ply", "a.ply", "--protocol", "open3d:thresholds=0.1")
+    assert code == 0 and without_progress(err) == ""
+    assert out.startswith("chamfer ")
+    check_text(out)
+
+
+def test_methods_and_scenes_are_a_table(files, run):
+    for scene, name in (("x", "a.ply"), ("y", "b.ply")):
+        for folder in ("gt", "one", "two"):
+            (files / folder).mkdir(exist_ok=True)
+            (files / folder / f"{scene}.ply").write_bytes(
+                (files / ("ref.ply" if folder == "gt" else name)).read_bytes()
+            )
+    (files / "two" / "y.ply").write_bytes((files / "ref.ply").read_bytes())
+    command = ("evaluate", "gt/{scene}.ply", "one/{scene}.ply", "two/{scene}.ply", *FAST, "--no-figures")
+    code, out, err = run(*command, "--out", "t", "--columns", "hausdorff")
+    assert code == 0, err
+    check_text(out)
+    names = {path.name for path in (files / "t").iterdir()}
+    assert {
+        "report.html",
+        "evaluate.md",
+        "evaluate.tex",
+        "evaluate.csv",
+        "means.csv",
+        "evaluate.json",
+        "pairs",
+    } <= names
+    (files / "one" / "y.ply").unlink()
+    code, out, err = run(*command, "--out", "t", "--json", "-")
+    assert code == 4
+    check_text(without_progress(err))
+    study = json.loads(out)
+    assert [pair["status"] for pair in study["pairs"]] == ["ok", "ok", "missing", "ok"]
+    assert study["means"][0]["scenes"] == 1
+    code, out, err = run(*command, "--columns", "hausdorff,nothing")
+    assert code == 4
+    check_text(out)
+
+
+def test_errors_are_one_line(files, run):
+    (files / "pairs.csv").write_text("reference,candidate\nref.ply,nothing.ply\n")
+    for arguments in (
+        (),
+        ("ref.ply",),
+        ("missing.ply", "a.ply"),
+        ("ref.ply", "missing.ply"),
+        ("ref.ply", "a.ply", "--protocol", "nothing"),
+        ("ref.ply", "a.ply", "--protocol", "open3d:thresholds=x"),
+        ("ref.ply", "a.ply", "--protocol-data", "nowhere"),
+        ("ref.ply", "a.ply", "--register", "matrix:none.txt"),
+        ("ref.ply", "a.ply", "--crop", "box:1"),
+        ("ref.ply", "a.ply", "--json", "a.ply"),
+        ("ref.ply", "a.ply", "--out", "."),
+        ("--pairs", "none.csv"),
+        ("--pairs", "pairs.csv"),
+        ("--pairs", "pairs.csv", "ref.ply"),
+    ):
+        code, out, err = run("evaluate", *arguments)
+        assert code == 2 and out == "" and is_one_line(err), (arguments, err)
+        check_text(err)
