@@ -107,6 +107,9 @@ class PresetProtocol:
     def _thresholds(self) -> tuple[float, ...]:
         return ()
 
+    def _mpeg_peak(self) -> float | None:
+        return None
+
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Compute the preset in the given pose.
 
@@ -126,7 +129,7 @@ class PresetProtocol:
             nearest_other = index.nearest_other() if len(index) > 1 else None
             normals, given = (None if each is None else each[rows_back] for each in (normals, given))
         cropped = presets.match(index, Index(moved[rows]), nearest_other, normals, given)
-        result = presets.measure_preset(self.name, cropped, self._thresholds())
+        result = presets.measure_preset(self.name, cropped, self._thresholds(), mpeg_peak=self._mpeg_peak())
         scores = tuple(_preset_scores(result, pair.unit, self.squares))
         return Evaluation(protocol_text(self), scores, pair.counts(len(rows), len(rows_back)), pair.notes)
 
@@ -144,7 +147,13 @@ class Gao2025Protocol(PresetProtocol):
 
 @dataclass(frozen=True)
 class MpegProtocol(PresetProtocol):
-    """Metrics of MPEG's pc_error, see `pcbench.measure.presets.mpeg`."""
+    """Metrics of MPEG's pc_error, see `pcbench.measure.presets.mpeg`.
+
+    Attributes:
+        peak: peak of the PSNR; 0: the largest distance from a point of the reference to its nearest neighbour.
+    """
+
+    peak: float = 0.0
 
     name: ClassVar[str] = "mpeg"
     title: ClassVar[str] = "MPEG pc_error"
@@ -152,10 +161,18 @@ class MpegProtocol(PresetProtocol):
     version: ClassVar[str] = "mpeg-pcc-dmetric 0.14.2"
     squares: ClassVar[frozenset[str]] = frozenset({"hausdorff_squared_d1", "hausdorff_squared_d2"})
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.peak < np.inf:
+            raise InputError(f"mpeg: expected the peak as a length, or 0 for the default, got {self.peak:g}")
+
+    def _mpeg_peak(self) -> float | None:
+        return self.peak or None
+
 
 @dataclass(frozen=True)
 class PdalProtocol(PresetProtocol):
-    """Numbers that `pdal chamfer` and `pdal hausdorff` print, see `pcbench.measure.presets.pdal`."""
+    """Numbers that `pdal chamfer` and `pdal hausdorff` print, see `pcbench.measure.library_presets.Pdal`."""
 
     name: ClassVar[str] = "pdal"
     title: ClassVar[str] = "PDAL"
@@ -165,8 +182,29 @@ class PdalProtocol(PresetProtocol):
 
 
 @dataclass(frozen=True)
-class Open3dProtocol(PresetProtocol):
-    """Numbers that Open3D's `compute_metrics` returns, see `pcbench.measure.presets.open3d`.
+class Pytorch3dProtocol(PresetProtocol):
+    """Numbers that PyTorch3D's `chamfer_distance` returns, see `pcbench.measure.library_presets.Pytorch3d`."""
+
+    name: ClassVar[str] = "pytorch3d"
+    title: ClassVar[str] = "PyTorch3D"
+    citation: ClassVar[str] = "Ravi et al. 2020, Accelerating 3D deep learning with PyTorch3D"
+    version: ClassVar[str] = "PyTorch3D 0.7, loss.chamfer_distance"
+    squares: ClassVar[frozenset[str]] = frozenset({"chamfer", "single_directional"})
+
+
+@dataclass(frozen=True)
+class PointCloudUtilsProtocol(PresetProtocol):
+    """Numbers that functions of point-cloud-utils return, see `pcbench.measure.library_presets.PointCloudUtils`."""
+
+    name: ClassVar[str] = "point-cloud-utils"
+    title: ClassVar[str] = "point-cloud-utils"
+    citation: ClassVar[str] = "Williams 2022, Point Cloud Utils"
+    version: ClassVar[str] = "point-cloud-utils 0.34"
+
+
+@dataclass(frozen=True)
+class FscoreProtocol(PresetProtocol):
+    """Definitions of a library that have an F-score.
 
     Attributes:
         thresholds: distance thresholds of the F-score.
@@ -174,16 +212,37 @@ class Open3dProtocol(PresetProtocol):
 
     thresholds: tuple[float, ...] = ()
 
+    def _thresholds(self) -> tuple[float, ...]:
+        return self.thresholds
+
+
+@dataclass(frozen=True)
+class KaolinProtocol(FscoreProtocol):
+    """Numbers that functions of Kaolin return, see `pcbench.measure.library_presets.Kaolin`."""
+
+    name: ClassVar[str] = "kaolin"
+    title: ClassVar[str] = "Kaolin"
+    citation: ClassVar[str] = "Fuji Tsang et al. 2022, Kaolin: a PyTorch library for accelerating 3D deep learning"
+    version: ClassVar[str] = "Kaolin, metrics.pointcloud"
+    squares: ClassVar[frozenset[str]] = frozenset({"chamfer"})
+
+
+@dataclass(frozen=True)
+class Open3dProtocol(FscoreProtocol):
+    """Numbers that Open3D's `compute_metrics` returns, see `pcbench.measure.library_presets.Open3d`."""
+
     name: ClassVar[str] = "open3d"
     title: ClassVar[str] = "Open3D"
     citation: ClassVar[str] = "Zhou et al. 2018, Open3D: a modern library for 3D data processing"
     version: ClassVar[str] = "Open3D 0.20, t.geometry.PointCloud.compute_metrics"
 
-    def _thresholds(self) -> tuple[float, ...]:
-        return self.thresholds
 
-
-PRESET_PROTOCOLS = (PcbenchProtocol, Gao2025Protocol, MpegProtocol, Open3dProtocol, PdalProtocol)
+PRESET_PROTOCOLS = (
+    PcbenchProtocol,
+    Gao2025Protocol,
+    MpegProtocol,
+    *(Open3dProtocol, PdalProtocol, Pytorch3dProtocol, KaolinProtocol, PointCloudUtilsProtocol),
+)
 
 
 @dataclass(frozen=True, eq=False)

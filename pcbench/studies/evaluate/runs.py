@@ -21,7 +21,7 @@ from pcbench.io.source import Source
 from pcbench.measure.protocols.protocol import EvaluationInputs, ProtocolScore
 from pcbench.measure.protocols.registry import parse_protocol
 from pcbench.registration import parse_method, register
-from pcbench.registration.given import GivenPose, method_file
+from pcbench.registration.given import GivenPose, method_files
 from pcbench.studies.evaluate.plan import PlannedPair
 from pcbench.studies.evaluate.results import FAILED, MISSING, OK, PairEvaluation, PairRecord, ScoreColumn, Status
 from pcbench.studies.frame.cells import map_cells
@@ -262,7 +262,7 @@ def _write(file: Path | None, key: Mapping[str, Any] | None, record: PairRecord)
 
 def _key(shared: SharedSettings, pair: PlannedPair) -> dict[str, Any]:
     """Return all that the scores of a pair depend on; the contents of its files are read."""
-    files = [Path(pair.reference), Path(pair.candidate), method_file(pair.register), region_file(pair.crop)]
+    files = [Path(pair.reference), Path(pair.candidate), *method_files(pair.register), region_file(pair.crop)]
     if Path(pair.reference).suffix.lower() == ".mlp":  # a project of scans in other files
         files += sorted(file for file in Path(pair.reference).parent.iterdir() if file.is_file())
     return {

@@ -18,7 +18,7 @@ from pcbench.errors import InputError
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, protocol_text
 from pcbench.measure.protocols.registry import parse_protocol
 from pcbench.registration import METHODS, parse_method
-from pcbench.registration.given import method_file
+from pcbench.registration.given import method_files
 from pcbench.report.document import provenance
 from pcbench.report.html import PAGE, Origin, article_page, write_page
 from pcbench.report.plot import Drawn
@@ -189,8 +189,8 @@ def check_inputs(pairs: Iterable[PlannedPair], out: Path | None) -> None:
         return
     folder = out.resolve()
     for pair in pairs:
-        paths = (Path(pair.reference), Path(pair.candidate), method_file(pair.register))
-        for path in (path for path in paths if path is not None and path != Path()):
+        paths = (Path(pair.reference), Path(pair.candidate), *method_files(pair.register))
+        for path in (path for path in paths if path != Path()):
             if path.resolve().is_relative_to(folder):
                 raise InputError(f"{path}: the evaluation replaces files in {out}: choose another --out")
 
