@@ -26,7 +26,6 @@ from pcbench.geometry.regions import Region
 from pcbench.io.files import errors_named
 from pcbench.io.meshes import to_shape
 from pcbench.io.meshlab_project import ProjectMesh, read_meshlab_project
-from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.protocols.free_space import Beam, BeamObservation, Floats, FreeSpace
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
 from pcbench.measure.protocols.voxel_grids import Mask, VoxelGrids
@@ -115,9 +114,10 @@ class Eth3d:
         unseen = ~_within(observation.squared_distances, self.tolerances[-1]) & ~observation.in_free_space
 
         scores = []
-        for tolerance, a, c in zip(self.tolerances, accuracy, completeness, strict=True):
-            for name, value in (("accuracy", a), ("completeness", c), ("f1", harmonic_mean(a, c))):
-                scores.append(ProtocolScore(f"{name}@{tolerance:g}", float(kind(value)), better="higher"))
+        for tolerance, a, c in zip(self.tolerances, map(kind, accuracy), map(kind, completeness), strict=True):
+            f1 = 2 * (a * c) / (a + c) if a + c > 0 else kind(0)  # of the rounded shares, and rounded at each step
+            for name, value in (("accuracy", a), ("completeness", c), ("f1", f1)):
+                scores.append(ProtocolScore(f"{name}@{tolerance:g}", float(value), better="higher"))
         if not (counted & ~unseen).any():
             notes.append(
                 "no scan observes a point of the candidate: it must be in the coordinates of the project, in metres"

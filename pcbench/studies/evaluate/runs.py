@@ -16,7 +16,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.region_text import parse_region, region_file
 from pcbench.geometry.regions import Region
-from pcbench.io.contents import digest, status_of
+from pcbench.io.contents import digest
 from pcbench.io.source import Source
 from pcbench.measure.protocols.protocol import EvaluationInputs, ProtocolScore
 from pcbench.measure.protocols.registry import parse_protocol
@@ -25,14 +25,11 @@ from pcbench.registration.given import GivenPose, method_files
 from pcbench.studies.evaluate.plan import PlannedPair
 from pcbench.studies.evaluate.results import FAILED, MISSING, OK, PairEvaluation, PairRecord, ScoreColumn, Status
 from pcbench.studies.frame.cells import map_cells
-from pcbench.studies.frame.code import measuring_code_digest
 from pcbench.studies.frame.folder import unique_name
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.tasks import Workers
-from pcbench.tasks.codec import fingerprint
 
 PAIRS, RECORD = "pairs", "evaluation.json"
-_OWN_MODULES = ("runs",)
 _PAIR_SECONDS = 1.0  # rough duration of the evaluation of a pair, for progress
 _NO_REFERENCE = Cloud(np.zeros((1, 3)))  # for regions that do not depend on the reference
 _UNSAFE = re.compile(r"[^\w.-]+")
@@ -113,18 +110,6 @@ def pair_tasks(pairs: Iterable[PlannedPair], *, is_stored: bool) -> list[PairTas
         names.add(name)
         tasks.append(PairTask(pair, f"{PAIRS}/{stem}{name[len(stem) :]}" if is_stored else ""))
     return tasks
-
-
-def shared_settings(out: Path | None, protocol: str, data: Path | None, seed: int) -> SharedSettings:
-    """Return what all pairs share, with digests of code and of the benchmark's files."""
-    if data is not None and not data.is_dir():
-        raise InputError(f"{data}: expected the folder with the files of the benchmark")
-    state = ""
-    if data is not None:
-        files = sorted(file for file in data.rglob("*") if file.is_file())
-        state = ";".join(f"{file.relative_to(data)} {status_of(file)[:2]}" for file in files)
-    code = measuring_code_digest("evaluate", _OWN_MODULES)
-    return SharedSettings(out, protocol, data, fingerprint(state), seed, code)
 
 
 def evaluate_task(shared: SharedSettings, task: PairTask, step: Callable[[str], None]) -> PairRecord:

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from pcbench.errors import InputError
+from pcbench.io.contents import status_of
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, protocol_text
 from pcbench.measure.protocols.registry import parse_protocol
 from pcbench.registration import METHODS, parse_method
@@ -34,15 +35,18 @@ from pcbench.studies.evaluate.results import (
     ProtocolInfo,
     ScoreColumn,
 )
-from pcbench.studies.evaluate.runs import check_crop, evaluate_alone, evaluate_pairs, shared_settings
+from pcbench.studies.evaluate.runs import SharedSettings, check_crop, evaluate_alone, evaluate_pairs
 from pcbench.studies.evaluate.table import evaluate_csv, evaluate_latex, means_csv
 from pcbench.studies.evaluate.words import answer, warnings
+from pcbench.studies.frame.code import measuring_code_digest
 from pcbench.studies.frame.folder import check_folder, study_folder
 from pcbench.studies.frame.publish import StudyOutcome, draw_here, publish
 from pcbench.systems import cpu_count
 from pcbench.tasks import Workers
+from pcbench.tasks.codec import fingerprint
 
 CSV, MEANS, LATEX = "evaluate.csv", "means.csv", "evaluate.tex"
+_OWN_MODULES = ("runs",)  # of this study, on which the scores of a pair depend
 
 
 def evaluate(
@@ -177,6 +181,18 @@ def _evaluate_all(
     if count is None and settings.cluster is None:
         count = min(cpu_count(), len(pairs))
     return evaluate_pairs(pairs, shared, scratch, Workers(count, settings.cluster), step)
+
+
+def shared_settings(out: Path | None, protocol: str, data: Path | None, seed: int) -> SharedSettings:
+    """Return what all pairs share, with digests of code and of the benchmark's files."""
+    if data is not None and not data.is_dir():
+        raise InputError(f"{data}: expected the folder with the files of the benchmark")
+    state = ""
+    if data is not None:
+        files = sorted(file for file in data.rglob("*") if file.is_file())
+        state = ";".join(f"{file.relative_to(data)} {status_of(file)[:2]}" for file in files)
+    code = measuring_code_digest("evaluate", _OWN_MODULES)
+    return SharedSettings(out, protocol, data, fingerprint(state), seed, code)
 
 
 def check_inputs(pairs: Iterable[PlannedPair], out: Path | None) -> None:

@@ -13,7 +13,7 @@ import pcbench
 from pcbench.studies.evaluate import runs
 from pcbench.studies.evaluate.plan import EvaluationPlan, PlannedPair
 from pcbench.studies.evaluate.results import KIND, EvaluateSettings
-from pcbench.studies.evaluate.study import run_evaluation
+from pcbench.studies.evaluate.study import run_evaluation, shared_settings
 
 METHODS = {"good": 0.01, "bad": 0.05}
 
@@ -130,7 +130,7 @@ def test_a_pair_that_fails_is_a_row(tmp_path, monkeypatch):
 def test_bugs_and_lost_memory_are_rows_too(tmp_path, monkeypatch):
     write_scenes(tmp_path, 1)
     pair = PlannedPair("s0", "good", str(tmp_path / "gt/s0.npy"), str(tmp_path / "good/s0.npy"))
-    shared = runs.shared_settings(None, "pcbench", None, 0)
+    shared = shared_settings(None, "pcbench", None, 0)
     for error in (ValueError("wrong"), MemoryError(), OSError(28, "no space", "x.ply")):
 
         def fail(*_, error=error):
