@@ -200,7 +200,7 @@ class Settings:
         check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
         if unknown := [name for name in wanted if name not in presets.NAMES]:
-            raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
+            raise InputError(_unknown_preset(unknown[0]))
         if unknown := [name for name in maps if name not in MAPS]:
             raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}")
         if self.tolerance is not None:
@@ -297,6 +297,15 @@ def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Setti
     if unknown := [name for name in changed if name not in names]:
         raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(names)}")
     return replace(settings, **changed)
+
+
+def _unknown_preset(name: Any) -> str:
+    from pcbench.measure.protocols.registry import PROTOCOLS
+
+    text = f"unknown preset {name!r}: expected one of {', '.join(presets.NAMES)}"
+    if name in PROTOCOLS:
+        text += f"; {name} evaluates files of a benchmark: pcbench evaluate REFERENCE CANDIDATE --protocol {name}"
+    return text
 
 
 def _check_tolerance(value: Any) -> float:

@@ -1,9 +1,13 @@
 """The command `pcbench evaluate`: one pair, a table of methods, --json, exit codes and errors of one line."""
 
 import json
+import re
 
 from command_line import is_one_line, without_progress
 from wording import check_text
+
+from pcbench.cli.evaluate import evaluate
+from pcbench.measure.protocols.registry import PROTOCOLS
 
 FAST = ("--protocol", "open3d", "--workers", 1)
 
@@ -67,3 +71,8 @@ def test_errors_are_one_line(files, run):
         code, out, err = run("evaluate", *arguments)
         assert code == 2 and out == "" and is_one_line(err), (arguments, err)
         check_text(err)
+
+
+def test_the_help_names_all_protocols():
+    help_text = next(option.help for option in evaluate.params if option.name == "protocol")
+    assert set(PROTOCOLS) <= set(re.findall(r"[\w-]+", help_text))

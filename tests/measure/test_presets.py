@@ -148,9 +148,10 @@ def test_identical_clouds_have_no_psnr():
     assert result.d1_psnr is None
 
 
-def test_an_unknown_preset_is_refused():
+@pytest.mark.parametrize("name", ["nonsense", "dtu"])
+def test_an_unknown_preset_is_refused(name):
     with check_error():
-        Settings(presets=("nonsense",))
+        Settings(presets=(name,))
 
 
 def test_pdal_preset_equals_the_output_of_pdal():
