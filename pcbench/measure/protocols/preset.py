@@ -367,12 +367,12 @@ def _check_settings(name: str, thresholds: tuple[float, ...], samples: int) -> N
 
 def _own_scores(values: Mapping[str, Any], unit: str) -> Iterator[ProtocolScore]:
     """Yield the scores of `PcbenchProtocol`; those without a value have None, so that all pairs have the same names."""
+    for name in _LENGTHS:
+        yield ProtocolScore(name, values[name], unit)
     for name in _DIRECTED_LENGTHS:
         both: BothWays | None = values.get(name)
         for way in BothWays._fields:
             yield ProtocolScore(f"{name}.{way}", None if both is None else getattr(both, way), unit)
-    for name in _LENGTHS:
-        yield ProtocolScore(name, values[name], unit)
     for at_threshold in values["fscore"]:
         yield from _fscore_parts(at_threshold)
 

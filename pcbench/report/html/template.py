@@ -85,7 +85,7 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
         script: JavaScript that the page runs; without one, its policy forbids scripts.
         content: values for the template's own parts.
     """
-    return _environment().get_template(template).render(
+    return _environment(require("jinja2")).get_template(template).render(
         kind=opening.kind,
         title=opening.title,
         subtitle=opening.subtitle,
@@ -118,9 +118,8 @@ def script_json(values: Any) -> str:
 
 
 @cache
-def _environment() -> Environment:
+def _environment(jinja2: Any) -> Environment:
     """Return the environment of all templates, which compiles each of them once."""
-    jinja2 = require("jinja2")
     made: Environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(source),
         autoescape=True,

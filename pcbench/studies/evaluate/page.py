@@ -18,7 +18,7 @@ from pcbench.report.article import (
     TableCell,
 )
 from pcbench.report.html import PAGE
-from pcbench.report.words import UNKNOWN, join_words
+from pcbench.report.words import UNKNOWN, join_words, number
 from pcbench.studies.evaluate.charts import TIME
 from pcbench.studies.evaluate.results import OK, MethodComparison, PairEvaluation, PairRecord, ScoreColumn
 from pcbench.studies.evaluate.table import difference_rows, heading, mean_rows, scene_rows, summary_rows
@@ -42,7 +42,8 @@ def article(study: MethodComparison, figures: Sequence[str] = ()) -> Article:
     sections += [ArticleSection("Accuracy against time", [picture]) for picture in pictures(TIME)]
     if len(study.scenes) > 1:
         if len(study.methods) > 1:
-            sections.append(ArticleSection("Differences to the best method", list(_differences(study))))
+            summary = "all differences" if len(study.chosen_columns) > _MAX_SHOWN_COLUMNS else ""
+            sections.append(ArticleSection("Differences to the best method", list(_differences(study)), summary))
         shown = study.chosen_columns[:_MAX_SHOWN_COLUMNS]
         sections.append(ArticleSection("Scores of each scene", list(_scenes(study, shown))))
         if rest := study.chosen_columns[_MAX_SHOWN_COLUMNS:]:
@@ -139,7 +140,7 @@ def pair_answer(record: PairRecord) -> str:
     pair = record.pair
     if pair.status != OK:
         return f"{pair.method} on {pair.scene} has no scores: {pair.message}"
-    parts = (f"{c.name} {score_text(pair.scores[c.name], c.unit)}" for c in record.columns[:_MAX_NAMES])
+    parts = (f"{c.name} {number(pair.scores[c.name])} {c.unit}".rstrip() for c in record.columns[:_MAX_NAMES])
     rest = f" and {len(record.columns) - _MAX_NAMES} further scores" if len(record.columns) > _MAX_NAMES else ""
     return f"{', '.join(parts)}{rest}."
 
@@ -165,7 +166,7 @@ def _values(columns: Sequence[ScoreColumn], values: Mapping[str, float | None]) 
     rows = [["", "value", "unit", "better"]]
     for column in columns:
         rows.append([column.name, _value_text(values[column.name]), column.unit, column.better or ""])
-    has_text = [number < 2 or any(row[number] for row in rows[1:]) for number in range(len(rows[0]))]
+    has_text = [column < 2 or any(row[column] for row in rows[1:]) for column in range(len(rows[0]))]
     return [[text for text, is_kept in zip(row, has_text, strict=True) if is_kept] for row in rows]
 
 
