@@ -21,6 +21,7 @@ from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.las import read_las, write_las
+from pcbench.io.lidar_bin import read_lidar_bin
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from pcbench.io.obj import look_at_obj, read_obj, read_obj_points, read_obj_vertices
 from pcbench.io.off import read_off
@@ -54,6 +55,7 @@ class MeshFormat(NamedTuple):
 
 CLOUDS = {  # by lower-case extension or complete file name
     ".asc": CloudFormat(read_text, write_text),
+    ".bin": CloudFormat(read_lidar_bin),  # KITTI; .pcd.bin of nuScenes
     ".csv": CloudFormat(read_text, write_text),
     ".e57": CloudFormat(read_e57),
     ".las": CloudFormat(read_las, write_las, filtered=True),
