@@ -131,8 +131,8 @@ def find_layout(lines: list[str]) -> TableLayout:
     pairs = re.split(r",\s+", numbers)
     if delimiter == "," and len(pairs) >= 3 and all(map(_DECIMAL_COMMA.fullmatch, pairs)):
         raise InputError(
-            f"line {index + 1}: expected decimal points, got commas in numbers and between them: {excerpt(text)}: export"
-            " it with semicolons between the numbers"
+            f"line {index + 1}: expected decimal points, got commas in numbers and between them: {excerpt(text)}:"
+            " export it with semicolons between the numbers"
         )
     if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
         raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")

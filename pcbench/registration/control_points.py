@@ -76,7 +76,8 @@ class ControlPoints:
         """Read pairs from a text file: the method `points:FILE`.
 
         Each line has a name, x y z in the candidate and x y z in the reference, between blanks, commas, semicolons or
-        tabs; commas are decimal points unless they delimit. Names that end in * are check points. The comment `# z is up` states that the reference's z is height.
+        tabs; commas are decimal points unless they delimit. Names that end in * are check points. The comment `# z is
+        up` states that the reference's z is height.
 
         Args:
             path: text file.
