@@ -37,6 +37,7 @@ LIBRARIES = {
     "small_gicp": _Library("small_gicp", ""),
     "torch": _Library("torch", "splat"),
     "trimesh": _Library("trimesh", "mesh"),
+    "zstandard": _Library("zstandard", ""),  # of .spz files of version 4
 }
 
 _LOADER_ERROR = re.compile(r"(?:^|[\s/])(lib[^\s/:]+\.so(?:\.\d+)*): (?:cannot open shared|file too short|invalid ELF)")

@@ -5,6 +5,7 @@ system and a crash is detected: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
 """
 
 import collections
+import gzip
 import os
 import random
 import resource
@@ -21,6 +22,7 @@ import mesh_bytes
 import mvs_bytes
 import pcd_bytes
 import ply_bytes
+import splat_bytes
 from repository import TESTS
 
 MAX_MEMORY = 2 << 30  # bytes of address space; numpy and its threads take about a fifth of it
@@ -34,7 +36,7 @@ TEXTS = {
 }
 # Files of each corpus as name -> bytes. The extension is the name of the corpus; meshes have that of their name.
 CORPORA = {
-    "ply": ply_bytes.corpus,
+    "ply": lambda: ply_bytes.corpus() | splat_bytes.packed_ply_corpus(),
     "las": las_bytes.corpus,
     "laz": las_bytes.laz_corpus,
     "pcd": pcd_bytes.corpus,
@@ -42,6 +44,10 @@ CORPORA = {
     "meshes": lambda: mesh_bytes.CUBES,
     "e57": e57_bytes.corpus,
     "mvs": mvs_bytes.corpus,
+    "bin": lambda: {"kitti": struct.pack("<40f", *range(40))},
+    "splat": splat_bytes.splat_corpus,
+    "spz": splat_bytes.spz_corpus,
+    "ksplat": splat_bytes.ksplat_corpus,
 }
 
 
@@ -71,6 +77,13 @@ def damage(data, rng):
     return bytes(data)
 
 
+def damage_packed(data, rng):
+    """Damage a gzip file; most often what is packed in it, since its checksum reveals other damage at once."""
+    if rng.random() < 0.8:
+        return gzip.compress(damage(gzip.decompress(data), rng), mtime=0)
+    return damage(data, rng)
+
+
 def main(corpus, count, seed, folder):
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
     from pcbench.errors import PcbenchError
@@ -96,7 +109,7 @@ def main(corpus, count, seed, folder):
     for number in range(count):
         name, data = rng.choice(files)
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
-        data = damage(data, rng)
+        data = damage_packed(data, rng) if corpus == "spz" else damage(data, rng)
         # Most files get new checksums, since E57 checksums reveal damage at once.
         path.write_bytes(e57_bytes.add_checksums(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
         notes = []

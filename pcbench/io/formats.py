@@ -20,6 +20,7 @@ from pcbench.io.e57 import read_e57
 from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.gltf import read_glb, read_gltf
+from pcbench.io.ksplat import read_ksplat
 from pcbench.io.las import read_las, write_las
 from pcbench.io.lidar_bin import read_lidar_bin
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
@@ -27,6 +28,8 @@ from pcbench.io.obj import look_at_obj, read_obj, read_obj_points, read_obj_vert
 from pcbench.io.off import read_off
 from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import look_at_ply, read_ply, read_ply_mesh, read_ply_vertices, write_ply
+from pcbench.io.splat import read_splat
+from pcbench.io.spz import read_spz, write_spz
 from pcbench.io.stl import read_stl
 from pcbench.io.text import read_text, write_text
 
@@ -58,6 +61,7 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".bin": CloudFormat(read_lidar_bin),  # KITTI; .pcd.bin of nuScenes
     ".csv": CloudFormat(read_text, write_text),
     ".e57": CloudFormat(read_e57),
+    ".ksplat": CloudFormat(read_ksplat),
     ".las": CloudFormat(read_las, write_las, filtered=True),
     ".laz": CloudFormat(read_las, write_las, filtered=True),  # .copc.laz too
     ".npy": CloudFormat(read_npy, write_npy),
@@ -66,6 +70,8 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".pcd": CloudFormat(read_pcd, write_pcd),
     ".ply": CloudFormat(read_ply, write_ply),
     ".pts": CloudFormat(read_text),
+    ".splat": CloudFormat(read_splat),
+    ".spz": CloudFormat(read_spz, write_spz),
     ".txt": CloudFormat(read_text, write_text),
     ".xyz": CloudFormat(read_text, write_text),
     "ept.json": CloudFormat(read_ept, filtered=True),

@@ -216,8 +216,8 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str, warn: Warn) -> str | 
 def _check_points(header: _Header) -> None:
     if len(header.shape) != 2 or header.shape[1] not in (3, 4, 6):
         raise InputError(
-            f"expected points of shape (N, 3), (N, 4) with intensity or (N, 6) with normals; got {header.shape}: reshape"
-            " them"
+            f"expected points of shape (N, 3), (N, 4) with intensity or (N, 6) with normals; got {header.shape}:"
+            " reshape them"
         )
     if header.dtype.kind not in "fiu":
         raise InputError(f"expected points as floats or integers, got {header.dtype}: convert them")

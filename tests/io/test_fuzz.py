@@ -25,6 +25,10 @@ def check_corpus(corpus, count, seed, folder):
         ("meshes", 80),
         pytest.param("e57", 15, marks=pytest.mark.long),
         ("mvs", 80),
+        ("bin", 80),
+        ("splat", 80),
+        ("spz", 80),
+        ("ksplat", 80),
     ],
 )
 def test_damaged_files(tmp_path, corpus, count):
@@ -43,6 +47,10 @@ def test_damaged_files(tmp_path, corpus, count):
         ("meshes", 10_000),
         ("e57", 2000),
         ("mvs", 20_000),
+        ("bin", 20_000),
+        ("splat", 20_000),
+        ("spz", 20_000),
+        ("ksplat", 20_000),
     ],
 )
 def test_many_damaged_files(tmp_path, corpus, count):
