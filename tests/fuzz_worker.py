@@ -22,6 +22,7 @@ import mesh_bytes
 import mvs_bytes
 import pcd_bytes
 import ply_bytes
+import ptx_bytes
 import splat_bytes
 from repository import TESTS
 
@@ -44,6 +45,7 @@ CORPORA = {
     "meshes": lambda: mesh_bytes.CUBES,
     "e57": e57_bytes.corpus,
     "mvs": mvs_bytes.corpus,
+    "ptx": ptx_bytes.corpus,
     "bin": lambda: {"kitti": struct.pack("<40f", *range(40))},
     "splat": splat_bytes.splat_corpus,
     "spz": splat_bytes.spz_corpus,

@@ -69,7 +69,9 @@ def dc_of(colors: NDArray[Any]) -> FloatArray:
 
 def colors_of(dc: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the 8-bit colours (N, 3) of coefficients of degree 0; NaN is black."""
-    return np.rint(255 * np.nan_to_num(0.5 + SH_DC * dc.astype(np.float64)).clip(0, 1)).astype(np.uint8)
+    values = 255 * np.nan_to_num(0.5 + SH_DC * dc.astype(np.float64)).clip(0, 1)
+    colors: NDArray[np.uint8] = np.rint(values).astype(np.uint8)
+    return colors
 
 
 def unit_quaternions(quaternions: NDArray[Any]) -> FloatArray:

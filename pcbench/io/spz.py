@@ -13,7 +13,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ _POSITION_BITS, _FRACTIONAL_BITS = 24, 12  # the library always writes 12
 
 class _Header(NamedTuple):
     version: int
-    count: int
+    splats: int
     degree: int
     fractional_bits: int
     flags: int
@@ -113,15 +113,15 @@ def _read_gzip(data: bytes, warn: Warn) -> tuple[_Header, list[NDArray[np.uint8]
         raise InputError(f"damaged: {str(error)[:80]}: copy or export the file again") from error
     if len(body) < expected:
         complete = len(body) // sum(header.widths)
-        raise InputError(f"truncated: got less than {header.count} splats ({complete}): copy or export the file again")
+        raise InputError(f"truncated: got less than {header.splats} splats ({complete}): copy or export the file again")
     if not surplus and not unpacker.eof:
         raise InputError("truncated: got all splats, but no checksum: copy or export the file again")
     if header.flags & _HAS_EXTENSIONS or surplus:
         warn("left out extensions after the splats")
-    ends = np.cumsum([header.count * width for width in header.widths])
+    ends = np.cumsum([header.splats * width for width in header.widths])
     values = np.frombuffer(body, np.uint8)
-    parts = [values[end - header.count * width : end] for end, width in zip(ends, header.widths, strict=True)]
-    return header, [part.reshape(header.count, -1) for part in parts]
+    parts = [values[end - header.splats * width : end] for end, width in zip(ends, header.widths, strict=True)]
+    return header, [part.reshape(header.splats, -1) for part in parts]
 
 
 def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_Header, list[NDArray[np.uint8]]]:
@@ -142,8 +142,8 @@ def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_Header, lis
     entries = list(_TOC_ENTRY.iter_unpack(file.read(streams * _TOC_ENTRY.size)))
     stored = sum(packed for packed, _ in entries)
     _unpacked_bytes(header, size)
-    if stored > size or [unpacked for _, unpacked in entries] != [header.count * width for width in widths]:
-        raise InputError(f"truncated: got less than {header.count} splats: copy or export the file again")
+    if stored > size or [unpacked for _, unpacked in entries] != [header.splats * width for width in widths]:
+        raise InputError(f"truncated: got less than {header.splats} splats: copy or export the file again")
     zstandard = require("zstandard")
     columns = []
     for (packed, unpacked), width in zip(entries, widths, strict=True):
@@ -153,18 +153,18 @@ def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_Header, lis
         except (zstandard.ZstdError, MemoryError) as error:
             raise InputError(f"damaged: {str(error)[:80]}: copy or export the file again") from error
         if len(values) != unpacked:
-            raise InputError(f"truncated: got less than {header.count} splats: copy or export the file again")
+            raise InputError(f"truncated: got less than {header.splats} splats: copy or export the file again")
         columns.append(np.frombuffer(values, np.uint8).reshape(-1, width))
     if not header.degree:
-        columns.append(np.empty((header.count, 0), np.uint8))
+        columns.append(np.empty((header.splats, 0), np.uint8))
     return header, columns
 
 
 def _unpacked_bytes(header: _Header, size: int) -> int:
     """Return the number of bytes of all columns, which must be plausible for the size of the file."""
-    expected = header.count * sum(header.widths)
+    expected = header.splats * sum(header.widths)
     if expected > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * size:
-        raise InputError(f"{size} bytes would unpack to {expected} bytes of {header.count} splats: export it again")
+        raise InputError(f"{size} bytes would unpack to {expected} bytes of {header.splats} splats: export it again")
     return expected
 
 
@@ -255,7 +255,7 @@ def write_spz(path: Path, cloud: Cloud, warn: Warn) -> None:
     ]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         log_scales = np.log(np.column_stack([model.axes, flat]))
-        parts = [
+        parts: list[NDArray[Any]] = [
             _fixed(cloud.points * _AXES, bits),
             _to_bytes(255 * model.opacities),
             _to_bytes(255 * (_COLOR_SCALE * _dc(cloud) + 0.5)),
@@ -322,7 +322,8 @@ def _smallest_three(wxyz: FloatArray) -> NDArray[np.uint32]:
         values = xyzw[rows, k + (k >= largest)]
         magnitude = np.minimum(511, 511 * np.abs(values) / np.sqrt(0.5) + 0.5).astype(np.uint32)
         packed = packed << 10 | ((values < 0) ^ negated).astype(np.uint32) << 9 | magnitude
-    return packed.astype("<u4")
+    words: NDArray[np.uint32] = packed.astype("<u4")
+    return words
 
 
 def _harmonics(cloud: Cloud, degree: int, stored_degree: int | None) -> NDArray[np.uint8]:
@@ -335,4 +336,5 @@ def _harmonics(cloud: Cloud, degree: int, stored_degree: int | None) -> NDArray[
     steps = _SH_STEPS[:count, None]
     scaled = 128 * signed.clip(-2, 2)
     whole = np.sign(scaled) * np.floor(np.abs(scaled) + 0.5) + 128
-    return (np.floor((whole + steps // 2) / steps) * steps).clip(0, 255).astype(np.uint8)
+    rounded: NDArray[np.uint8] = (np.floor((whole + steps // 2) / steps) * steps).clip(0, 255).astype(np.uint8)
+    return rounded

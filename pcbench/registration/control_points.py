@@ -161,7 +161,8 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
         lines = read_text(path).splitlines()
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read the pairs: {reason_of(error)}") from error
-    names, rows = [], []
+    names: list[str] = []
+    rows: list[list[float]] = []
     z_is_up = any(states_z_is_up(line) for line in lines)
     texts = [line.split("#")[0].strip() for line in lines]
     decimal_comma = has_decimal_commas([text for text in texts if text])
