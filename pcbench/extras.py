@@ -35,6 +35,7 @@ LIBRARIES = {
     "pyproj": _Library("pyproj", "las"),
     "pyvista": _Library("pyvista", "plot"),
     "small_gicp": _Library("small_gicp", ""),
+    "tifffile": _Library("tifffile", ""),  # of grids of heights in GeoTIFF
     "torch": _Library("torch", "splat"),
     "trimesh": _Library("trimesh", "mesh"),
     "zstandard": _Library("zstandard", ""),  # of .spz files of version 4

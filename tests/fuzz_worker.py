@@ -17,6 +17,7 @@ import warnings
 from pathlib import Path
 
 import e57_bytes
+import height_grid_files
 import las_bytes
 import mesh_bytes
 import mvs_bytes
@@ -42,7 +43,7 @@ CORPORA = {
     "laz": las_bytes.laz_corpus,
     "pcd": pcd_bytes.corpus,
     "txt": lambda: {name: text.encode() for name, text in TEXTS.items()},
-    "meshes": lambda: mesh_bytes.CUBES,
+    "meshes": lambda: mesh_bytes.CUBES | {"grid.asc": height_grid_files.asc().encode()},
     "e57": e57_bytes.corpus,
     "mvs": mvs_bytes.corpus,
     "ptx": ptx_bytes.corpus,
@@ -50,6 +51,7 @@ CORPORA = {
     "splat": splat_bytes.splat_corpus,
     "spz": splat_bytes.spz_corpus,
     "ksplat": splat_bytes.ksplat_corpus,
+    "tif": height_grid_files.tif_corpus,
 }
 
 

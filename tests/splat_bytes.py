@@ -32,6 +32,21 @@ def packed_spz(*args, **parts):
     return gzip.compress(spz(*args, **parts), mtime=0)
 
 
+def ksplat(level, splats=None, changes=None):
+    """Return a file of another program with numbers of 32 bits replaced, by their offset.
+
+    With a number of splats, the first splat at level 0 without harmonics is repeated.
+    """
+    data = bytearray((FOREIGN / f"mkkellogg_{level}.ksplat").read_bytes())
+    if splats is not None:
+        row = data[5120 : 5120 + 44]
+        changes = {16: splats, 4096: splats, 4100: splats, 4136: 0}
+        data[5120:] = row * splats
+    for offset, number in (changes or {}).items():
+        data[offset : offset + 4] = struct.pack("<I", number)
+    return bytes(data)
+
+
 def spz_corpus():
     return {f"{version} {degree}": packed_spz(version, degree=degree) for version in (1, 2, 3) for degree in (0, 1, 3)}
 

@@ -15,10 +15,12 @@ from typing import NamedTuple
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
+from pcbench.io.ascii_grid import look_at_ascii_grid, read_ascii_grid_mesh
 from pcbench.io.colmap import read_colmap
 from pcbench.io.e57 import read_e57
 from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Look, Warn
+from pcbench.io.geotiff_heights import look_at_geotiff, read_geotiff_mesh, read_geotiff_points
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.ksplat import read_ksplat
 from pcbench.io.las import read_las, write_las
@@ -74,6 +76,8 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".ptx": CloudFormat(read_ptx),
     ".splat": CloudFormat(read_splat),
     ".spz": CloudFormat(read_spz, write_spz),
+    ".tif": CloudFormat(read_geotiff_points),
+    ".tiff": CloudFormat(read_geotiff_points),
     ".txt": CloudFormat(read_text, write_text),
     ".xyz": CloudFormat(read_text, write_text),
     "ept.json": CloudFormat(read_ept, filtered=True),
@@ -85,6 +89,9 @@ FILTERABLE_EXTENSIONS = tuple(extension for extension, form in CLOUDS.items() if
 
 MESHES = {
     ".stl": MeshFormat(read_stl),
+    ".asc": MeshFormat(read_ascii_grid_mesh, read_text, look_at_ascii_grid),
+    ".tif": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
+    ".tiff": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
     ".obj": MeshFormat(read_obj, read_obj_vertices, look_at_obj),
     ".ply": MeshFormat(read_ply_mesh, read_ply_vertices, look_at_ply),
     ".glb": MeshFormat(read_glb),

@@ -87,7 +87,7 @@ def _parse_header(lines: Sequence[bytes], start: int) -> _Scan:
     if len(lines) < start + _HEADER_LINES:
         raise InputError(
             f"truncated: expected {_HEADER_LINES} header lines from line {start + 1}, got {len(lines) - start}: copy or"
-            " export the file again"
+            " or export the file again"
         )
     counts = [line.strip() for line in lines[start : start + 2]]
     if not all(count.isdigit() and int(count[:13]) > 0 for count in counts):
@@ -99,8 +99,8 @@ def _parse_header(lines: Sequence[bytes], start: int) -> _Scan:
     first = start + _HEADER_LINES
     if columns * rows > min(len(lines) - first, _MAX_DIRECTIONS):
         raise InputError(
-            f"truncated: got {len(lines) - first} of {columns} x {rows} lines of the scan from line {start + 1}: copy or"
-            " export the file again"
+            f"truncated: got {len(lines) - first} of {columns} x {rows} lines of the scan from line {start + 1}: copy"
+            " or export the file again"
         )
     matrix = parse_rows(lines[start : start + _HEADER_LINES][_MATRIX_LINES], 4, lambda k: f"line {start + 7 + k}")
     if not (np.isfinite(matrix).all() and np.array_equal(matrix[:, 3], [0, 0, 0, 1])):

@@ -8,12 +8,14 @@ from optional import import_or_skip
 def check_corpus(corpus, count, seed, folder):
     if corpus == "laz":
         import_or_skip("lazrs")
+    if corpus == "tif":
+        import_or_skip("tifffile")
     if corpus == "e57":
         import_or_skip("pye57")
     fuzz_worker.run(corpus, count, seed, folder)
 
 
-# Each LAZ file with a valid header starts a child process (about 15 ms), and so does each E57 file (about 200 ms).
+# Each LAZ file with a valid header starts a child process (about 15 ms), as each E57 and TIFF file (about 200 ms).
 @pytest.mark.parametrize(
     ("corpus", "count"),
     [
@@ -30,6 +32,7 @@ def check_corpus(corpus, count, seed, folder):
         ("splat", 80),
         ("spz", 80),
         ("ksplat", 80),
+        pytest.param("tif", 15, marks=pytest.mark.long),
     ],
 )
 def test_damaged_files(tmp_path, corpus, count):
@@ -53,6 +56,7 @@ def test_damaged_files(tmp_path, corpus, count):
         ("splat", 20_000),
         ("spz", 20_000),
         ("ksplat", 20_000),
+        ("tif", 1000),
     ],
 )
 def test_many_damaged_files(tmp_path, corpus, count):

@@ -11,7 +11,7 @@ from optional import import_or_skip
 from ply_bytes import XYZ, ply
 from refusals import refusal
 from repository import TESTS
-from splat_bytes import FOREIGN, SPLAT_ROW, packed_spz, spz
+from splat_bytes import FOREIGN, SPLAT_ROW, ksplat, packed_spz, spz
 from splat_models import make_gaussians
 from wording import check_error, check_text
 
@@ -223,28 +223,20 @@ def test_damaged_splat(tmp_path, data):
     refusal(tmp_path / "a.splat", data)
 
 
-def ksplat(level, changes):
-    """Return a file of another program with numbers of 32 bits replaced, by their offset."""
-    data = bytearray((FOREIGN / f"mkkellogg_{level}.ksplat").read_bytes())
-    for offset, number in changes.items():
-        data[offset : offset + 4] = struct.pack("<I", number)
-    return bytes(data)
-
-
 KSPLAT = {
     "short": bytes(4000),
-    "version": ksplat(0, {0: 1}),
-    "level 3": ksplat(0, {20: 3}),
-    "2^31 sections": ksplat(0, {4: 2**31}),
-    "2^31 splats": ksplat(0, {4096: 2**31, 4100: 2**31}),
-    "more splats than places": ksplat(0, {4096: 9}),
-    "2^31 buckets": ksplat(1, {4108: 2**31}),
-    "2^31 full buckets": ksplat(1, {4128: 2**31}),
-    "2^31 partial buckets": ksplat(1, {4132: 2**31}),
-    "no buckets": ksplat(1, {4108: 0, 4116: 0}),
-    "degree": ksplat(0, {4136: 7}),
-    "no splats": ksplat(0, {4096: 0}),
-    "cut": ksplat(2, {})[:-10],
+    "version": ksplat(0, changes={0: 1}),
+    "level 3": ksplat(0, changes={20: 3}),
+    "2^31 sections": ksplat(0, changes={4: 2**31}),
+    "2^31 splats": ksplat(0, changes={4096: 2**31, 4100: 2**31}),
+    "more splats than places": ksplat(0, changes={4096: 9}),
+    "2^31 buckets": ksplat(1, changes={4108: 2**31}),
+    "2^31 full buckets": ksplat(1, changes={4128: 2**31}),
+    "2^31 partial buckets": ksplat(1, changes={4132: 2**31}),
+    "no buckets": ksplat(1, changes={4108: 0, 4116: 0}),
+    "degree": ksplat(0, changes={4136: 7}),
+    "no splats": ksplat(0, changes={4096: 0}),
+    "cut": ksplat(2, changes={})[:-10],
 }
 
 
