@@ -52,6 +52,9 @@ CORPORA = {
     "spz": splat_bytes.spz_corpus,
     "ksplat": splat_bytes.ksplat_corpus,
     "tif": height_grid_files.tif_corpus,
+    "glb": lambda: {
+        "points": mesh_bytes.glb_parts((0, mesh_bytes.VERTICES, None), (0, mesh_bytes.VERTICES, [1, 0, 5]))
+    },
 }
 
 
@@ -115,6 +118,8 @@ def main(corpus, count, seed, folder):
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
         data = damage_packed(data, rng) if corpus == "spz" else damage(data, rng)
         # Most files get new checksums, since E57 checksums reveal damage at once.
+        if corpus == "glb":
+            data = data[:8] + struct.pack("<I", len(data)) + data[12:]  # its length is checked first
         path.write_bytes(e57_bytes.add_checksums(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
         notes = []
         signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS_PER_FILE)

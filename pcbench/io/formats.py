@@ -22,6 +22,7 @@ from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.geotiff_heights import look_at_geotiff, read_geotiff_mesh, read_geotiff_points
 from pcbench.io.gltf import read_glb, read_gltf
+from pcbench.io.gltf_points import look_at_gltf, read_gltf_points, read_gltf_vertices
 from pcbench.io.ksplat import read_ksplat
 from pcbench.io.las import read_las, write_las
 from pcbench.io.lidar_bin import read_lidar_bin
@@ -64,6 +65,8 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".bin": CloudFormat(read_lidar_bin),  # KITTI; .pcd.bin of nuScenes
     ".csv": CloudFormat(read_text, write_text),
     ".e57": CloudFormat(read_e57),
+    ".glb": CloudFormat(read_gltf_points),
+    ".gltf": CloudFormat(read_gltf_points),
     ".ksplat": CloudFormat(read_ksplat),
     ".las": CloudFormat(read_las, write_las, filtered=True),
     ".laz": CloudFormat(read_las, write_las, filtered=True),  # .copc.laz too
@@ -89,14 +92,14 @@ FILTERABLE_EXTENSIONS = tuple(extension for extension, form in CLOUDS.items() if
 
 MESHES = {
     ".stl": MeshFormat(read_stl),
+    ".obj": MeshFormat(read_obj, read_obj_vertices, look_at_obj),
+    ".ply": MeshFormat(read_ply_mesh, read_ply_vertices, look_at_ply),
+    ".glb": MeshFormat(read_glb, read_gltf_vertices, look_at_gltf),
+    ".gltf": MeshFormat(read_gltf, read_gltf_vertices, look_at_gltf),
+    ".off": MeshFormat(read_off),
     ".asc": MeshFormat(read_ascii_grid_mesh, read_text, look_at_ascii_grid),
     ".tif": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
     ".tiff": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
-    ".obj": MeshFormat(read_obj, read_obj_vertices, look_at_obj),
-    ".ply": MeshFormat(read_ply_mesh, read_ply_vertices, look_at_ply),
-    ".glb": MeshFormat(read_glb),
-    ".gltf": MeshFormat(read_gltf),
-    ".off": MeshFormat(read_off),
 }
 
 

@@ -32,6 +32,7 @@ def check_corpus(corpus, count, seed, folder):
         ("splat", 80),
         ("spz", 80),
         ("ksplat", 80),
+        ("glb", 80),
         pytest.param("tif", 15, marks=pytest.mark.long),
     ],
 )
@@ -56,6 +57,7 @@ def test_damaged_files(tmp_path, corpus, count):
         ("splat", 20_000),
         ("spz", 20_000),
         ("ksplat", 20_000),
+        ("glb", 20_000),
         ("tif", 1000),
     ],
 )
