@@ -10,7 +10,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Look, Warn
-from pcbench.io.height_grids import HeightGrid
+from pcbench.io.height_grids import ElevationGrid
 
 _REQUIRED = ("ncols", "nrows")
 _KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value")
@@ -49,7 +49,7 @@ def is_ascii_grid(lines: Sequence[str]) -> bool:
     return first.split(maxsplit=1)[0].lower() in _REQUIRED if first else False
 
 
-def parse_ascii_grid(lines: Sequence[str]) -> HeightGrid:
+def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
     """Return the grid in the lines of a file.
 
     Raises:
@@ -83,7 +83,7 @@ def parse_ascii_grid(lines: Sequence[str]) -> HeightGrid:
         for axis, step, count in zip("xy", steps, (columns, rows), strict=True)
     )
     z[z == header.get("nodata_value", _NO_DATA)] = np.nan
-    return HeightGrid(x, y[::-1], z.reshape(rows, columns))
+    return ElevationGrid(x, y[::-1], z.reshape(rows, columns))
 
 
 def _lines(data: bytes) -> list[str]:

@@ -24,7 +24,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.units import metres, unit_of_length
 from pcbench.io import tifffile_child
 from pcbench.io.files import Fields, Look, Warn
-from pcbench.io.height_grids import MAX_CELLS, HeightGrid
+from pcbench.io.height_grids import MAX_CELLS, ElevationGrid
 from pcbench.io.las_crs import GEO_DOUBLES, GEO_KEYS, WKT, read_crs
 from pcbench.scratch import scratch_folder
 
@@ -54,7 +54,7 @@ def read_geotiff_mesh(path: Path, warn: Warn) -> Mesh:
     return _read_grid(path, warn).mesh(warn)
 
 
-def _read_grid(path: Path, warn: Warn) -> HeightGrid:
+def _read_grid(path: Path, warn: Warn) -> ElevationGrid:
     heights, tags = _run_tifffile(path)
     x, y = _centers(tags, heights.shape)
     if tags["bands"] > 1:
@@ -69,7 +69,7 @@ def _read_grid(path: Path, warn: Warn) -> HeightGrid:
     heights = heights * _number(items.get("scale"), 1) + _number(items.get("offset"), 0)
     crs, unit = _system(tags, items.get("unittype"), warn)
     west, north = x[-1] < x[0], y[-1] > y[0]  # rows and columns may run the other way
-    return HeightGrid(
+    return ElevationGrid(
         x[::-1] if west else x, y[::-1] if north else y, heights[:: -1 if north else 1, :: -1 if west else 1], crs, unit
     )
 

@@ -32,7 +32,7 @@ _MAX_BUFFER_BYTES = 1 << 34
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 64, 64 << 20
 
 
-class _Part(NamedTuple):
+class _GltfPart(NamedTuple):
     """Points of a primitive in world coordinates; colours from 0 to 255 and normals if it has them."""
 
     points: FloatArray
@@ -78,7 +78,7 @@ def read_gltf_vertices(path: Path, warn: Warn) -> Fields:
         kind = "lines" if modes else "nothing"
         raise InputError(f"expected points or triangles, got {kind}: export it with points or a mesh")
     buffers = _buffers(path, document)
-    parts: list[_Part] = []
+    parts: list[_GltfPart] = []
     left = _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * sum(map(len, buffers))
     for number, matrix in _meshes_of_scene(content):
         for primitive in entries(_entry(content, "meshes", number), "primitives"):
@@ -95,7 +95,7 @@ def read_gltf_vertices(path: Path, warn: Warn) -> Fields:
     return _joined(parts, warn, is_mesh=_POINTS not in wanted)
 
 
-def _joined(parts: list[_Part], warn: Warn, *, is_mesh: bool) -> Fields:
+def _joined(parts: list[_GltfPart], warn: Warn, *, is_mesh: bool) -> Fields:
     colored, with_normals = (
         sum(values is not None for values in column) for column in list(zip(*parts, strict=True))[1:]
     )
@@ -204,7 +204,7 @@ def _entry(content: Any, name: str, number: Any) -> dict[str, Any]:
 # ---- arrays -------------------------------------------------------------------------------------------------------
 
 
-def _part(content: Any, buffers: list[bytes], primitive: dict[str, Any], matrix: FloatArray) -> _Part:
+def _part(content: Any, buffers: list[bytes], primitive: dict[str, Any], matrix: FloatArray) -> _GltfPart:
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
         raise InputError("expected parts with POSITION, got one without: export the file again")
@@ -225,7 +225,7 @@ def _part(content: Any, buffers: list[bytes], primitive: dict[str, Any], matrix:
     linear = matrix[:3, :3]
     if normals is not None:
         normals = normals @ np.linalg.inv(linear) if abs(np.linalg.det(linear)) > 0 else None
-    return _Part(points @ linear.T + matrix[:3, 3], None if colors is None else 255 * colors[:, :3], normals)
+    return _GltfPart(points @ linear.T + matrix[:3, 3], None if colors is None else 255 * colors[:, :3], normals)
 
 
 def _array(content: Any, buffers: list[bytes], number: Any, widths: tuple[int, ...]) -> FloatArray:

@@ -20,7 +20,7 @@ MAX_CELLS = 250_000_000
 """Largest number of cells of a grid: its triangles take 12 GB."""
 
 
-class HeightGrid(NamedTuple):
+class ElevationGrid(NamedTuple):
     """A grid of heights.
 
     Attributes:

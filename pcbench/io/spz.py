@@ -47,7 +47,7 @@ _SH_STEPS = np.repeat([8, 16], [3, 12])  # 5 bits of degree 1, 4 bits of the oth
 _POSITION_BITS, _FRACTIONAL_BITS = 24, 12  # the library always writes 12
 
 
-class _Header(NamedTuple):
+class _SpzHeader(NamedTuple):
     version: int
     splats: int
     degree: int
@@ -101,7 +101,7 @@ def read_spz(path: Path, warn: Warn) -> Fields:
 # ---- containers ---------------------------------------------------------------------------------------------------
 
 
-def _read_gzip(data: bytes, warn: Warn) -> tuple[_Header, list[NDArray[np.uint8]]]:
+def _read_gzip(data: bytes, warn: Warn) -> tuple[_SpzHeader, list[NDArray[np.uint8]]]:
     """Return the header and the columns of versions 1 to 3; sizes are checked before anything is unpacked."""
     unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     try:
@@ -124,7 +124,7 @@ def _read_gzip(data: bytes, warn: Warn) -> tuple[_Header, list[NDArray[np.uint8]
     return header, [part.reshape(header.splats, -1) for part in parts]
 
 
-def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_Header, list[NDArray[np.uint8]]]:
+def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_SpzHeader, list[NDArray[np.uint8]]]:
     """Return the header and the columns of version 4: a table of contents, and one Zstandard stream per column."""
     start = file.read(_HEADER_4_BYTES)
     header = _parse_header(start, (4,))
@@ -160,7 +160,7 @@ def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_Header, lis
     return header, columns
 
 
-def _unpacked_bytes(header: _Header, size: int) -> int:
+def _unpacked_bytes(header: _SpzHeader, size: int) -> int:
     """Return the number of bytes of all columns, which must be plausible for the size of the file."""
     expected = header.splats * sum(header.widths)
     if expected > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * size:
@@ -168,7 +168,7 @@ def _unpacked_bytes(header: _Header, size: int) -> int:
     return expected
 
 
-def _parse_header(data: bytes, versions: tuple[int, ...]) -> _Header:
+def _parse_header(data: bytes, versions: tuple[int, ...]) -> _SpzHeader:
     if len(data) < _HEADER.size:
         raise InputError(f"truncated: got {len(data)} bytes of a header: copy or export the file again")
     magic, version, count, degree, bits, flags, _ = _HEADER.unpack(data[: _HEADER.size])
@@ -186,13 +186,13 @@ def _parse_header(data: bytes, versions: tuple[int, ...]) -> _Header:
         )
     if not count:
         raise InputError("expected at least one splat, got 0: export the file again")
-    return _Header(version, count, degree, bits, flags)
+    return _SpzHeader(version, count, degree, bits, flags)
 
 
 # ---- values -------------------------------------------------------------------------------------------------------
 
 
-def _positions(stored: NDArray[np.uint8], header: _Header) -> FloatArray:
+def _positions(stored: NDArray[np.uint8], header: _SpzHeader) -> FloatArray:
     if header.version == 1:
         return np.ascontiguousarray(stored).view("<f2").astype(np.float64)
     low, middle, high = (stored.reshape(-1, 3, 3)[:, :, k].astype(np.int32) for k in range(3))
