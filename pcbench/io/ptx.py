@@ -87,7 +87,7 @@ def _parse_header(lines: Sequence[bytes], start: int) -> _Scan:
     if len(lines) < start + _HEADER_LINES:
         raise InputError(
             f"truncated: expected {_HEADER_LINES} header lines from line {start + 1}, got {len(lines) - start}: copy or"
-            " or export the file again"
+            " export the file again"
         )
     counts = [line.strip() for line in lines[start : start + 2]]
     if not all(count.isdigit() and int(count[:13]) > 0 for count in counts):

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
@@ -69,8 +69,8 @@ def read_spz(path: Path, warn: Warn) -> Fields:
     """Read the splats of a file.
 
     Raises:
-        InputError: the file is damaged, truncated or of another version.
-        MissingExtra: the file has version 4, which needs Zstandard.
+        InputError: the file is damaged, truncated or of another version, or it has version 4 and the library zstandard
+            is not installed.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
@@ -144,7 +144,12 @@ def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_SpzHeader, 
     _unpacked_bytes(header, size)
     if stored > size or [unpacked for _, unpacked in entries] != [header.splats * width for width in widths]:
         raise InputError(f"truncated: got less than {header.splats} splats: copy or export the file again")
-    zstandard = require("zstandard")
+    try:
+        zstandard = require("zstandard")
+    except MissingExtra as error:
+        raise InputError(
+            f"version 4 of the format: {error}, or convert it with 'splat-transform IN.spz OUT.spz --spz-version 3'"
+        ) from None
     columns = []
     for (packed, unpacked), width in zip(entries, widths, strict=True):
         try:
