@@ -35,8 +35,10 @@ LIBRARIES = {
     "pyproj": _Library("pyproj", "las"),
     "pyvista": _Library("pyvista", "plot"),
     "small_gicp": _Library("small_gicp", ""),
+    "tifffile": _Library("tifffile", ""),  # of grids of heights in GeoTIFF
     "torch": _Library("torch", "splat"),
     "trimesh": _Library("trimesh", "mesh"),
+    "zstandard": _Library("zstandard", ""),  # of .spz files of version 4
 }
 
 _LOADER_ERROR = re.compile(r"(?:^|[\s/])(lib[^\s/:]+\.so(?:\.\d+)*): (?:cannot open shared|file too short|invalid ELF)")

@@ -5,6 +5,7 @@ system and a crash is detected: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
 """
 
 import collections
+import gzip
 import os
 import random
 import resource
@@ -16,11 +17,14 @@ import warnings
 from pathlib import Path
 
 import e57_bytes
+import height_grid_files
 import las_bytes
 import mesh_bytes
 import mvs_bytes
 import pcd_bytes
 import ply_bytes
+import ptx_bytes
+import splat_bytes
 from repository import TESTS
 
 MAX_MEMORY = 2 << 30  # bytes of address space; numpy and its threads take about a fifth of it
@@ -34,14 +38,23 @@ TEXTS = {
 }
 # Files of each corpus as name -> bytes. The extension is the name of the corpus; meshes have that of their name.
 CORPORA = {
-    "ply": ply_bytes.corpus,
+    "ply": lambda: ply_bytes.corpus() | splat_bytes.packed_ply_corpus(),
     "las": las_bytes.corpus,
     "laz": las_bytes.laz_corpus,
     "pcd": pcd_bytes.corpus,
     "txt": lambda: {name: text.encode() for name, text in TEXTS.items()},
-    "meshes": lambda: mesh_bytes.CUBES,
+    "meshes": lambda: mesh_bytes.CUBES | {"grid.asc": height_grid_files.asc().encode()},
     "e57": e57_bytes.corpus,
     "mvs": mvs_bytes.corpus,
+    "ptx": ptx_bytes.corpus,
+    "bin": lambda: {"kitti": struct.pack("<40f", *range(40))},
+    "splat": splat_bytes.splat_corpus,
+    "spz": splat_bytes.spz_corpus,
+    "ksplat": splat_bytes.ksplat_corpus,
+    "tif": height_grid_files.tif_corpus,
+    "glb": lambda: {
+        "points": mesh_bytes.glb_parts((0, mesh_bytes.VERTICES, None), (0, mesh_bytes.VERTICES, [1, 0, 5]))
+    },
 }
 
 
@@ -71,6 +84,13 @@ def damage(data, rng):
     return bytes(data)
 
 
+def damage_packed(data, rng):
+    """Damage a gzip file; most often what is packed in it, since its checksum reveals other damage at once."""
+    if rng.random() < 0.8:
+        return gzip.compress(damage(gzip.decompress(data), rng), mtime=0)
+    return damage(data, rng)
+
+
 def main(corpus, count, seed, folder):
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
     from pcbench.errors import PcbenchError
@@ -96,8 +116,10 @@ def main(corpus, count, seed, folder):
     for number in range(count):
         name, data = rng.choice(files)
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
-        data = damage(data, rng)
+        data = damage_packed(data, rng) if corpus == "spz" else damage(data, rng)
         # Most files get new checksums, since E57 checksums reveal damage at once.
+        if corpus == "glb":
+            data = data[:8] + struct.pack("<I", len(data)) + data[12:]  # its length is checked first
         path.write_bytes(e57_bytes.add_checksums(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
         notes = []
         signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS_PER_FILE)

@@ -218,11 +218,14 @@ def _print_info(path: Path) -> None:
             mesh = source.read_mesh(warn)
             cloud = vertex_cloud(mesh)
         elif source.holds_mesh:
-            cloud = source.read_vertices(warn)
+            lines: list[str] = []
+            cloud = source.read_vertices(lines.append)
             try:
-                mesh = source.read_mesh(warn)
+                mesh = source.read_mesh(lines.append)
             except InputError as error:  # its points can still be described
-                warn(error)
+                lines.append(str(error))
+            for line in dict.fromkeys(lines):  # both readers say what they leave out
+                warn(line)
         else:
             cloud = source.read_cloud(warn)
         lower, upper = cloud.bounds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -56,6 +57,20 @@ def ecef_from_enu(positions: FloatArray, origin: Gps) -> FloatArray:
     """
     centred: FloatArray = positions @ enu_axes(origin) + _ecef_from_geodetic([origin])
     return centred
+
+
+def gps_from_ecef(position: FloatArray) -> Gps:
+    """Return the WGS84 position of earth-centred coordinates (3,) in metres; its altitude is the ellipsoidal height."""
+    x, y, z = (float(value) for value in position)
+    eccentricity2, distance = _FLATTENING * (2 - _FLATTENING), math.hypot(x, y)
+    latitude = math.atan2(z, distance * (1 - eccentricity2))
+    for _ in range(10):  # each step reduces the error about 300 times
+        normal = _SEMI_MAJOR / math.sqrt(1 - eccentricity2 * math.sin(latitude) ** 2)
+        latitude = math.atan2(z + eccentricity2 * normal * math.sin(latitude), distance)
+    # Of the distances along the axes, this one is well defined at the poles too.
+    flat = _SEMI_MAJOR * math.sqrt(1 - eccentricity2 * math.sin(latitude) ** 2)
+    height = distance * math.cos(latitude) + z * math.sin(latitude) - flat
+    return Gps(math.degrees(latitude), math.degrees(math.atan2(y, x)), height)
 
 
 def enu_axes(origin: Gps) -> FloatArray:

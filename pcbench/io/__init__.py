@@ -56,7 +56,7 @@ def read_cloud(
             coordinates"). Defaults to `warnings.warn`.
         classes: class numbers to keep, such as (2, 6). LAS, LAZ, COPC and EPT only.
         returns: returns to keep: "first", "last", or return numbers. LAS, LAZ, COPC and EPT only.
-        min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. PLY files of splats only; stored logits of
+        min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. Files of splats only; stored logits of
             opacity and logarithms of the axes are converted.
         max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
         color_depth: significant bits of the colours in LAS, LAZ, COPC and EPT files, 8 or 16. None: 16 if a value of

@@ -1,17 +1,46 @@
-"""Read ESRI ASCII grids (.asc): the centres of the cells are points, as in PDAL and CloudCompare."""
+"""Read ESRI ASCII grids (.asc) of heights, as points or as a surface; see `height_grids`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.io.files import Fields, Warn
+from pcbench.geometry.mesh import Mesh
+from pcbench.io.files import Look, Warn
+from pcbench.io.height_grids import ElevationGrid
 
 _REQUIRED = ("ncols", "nrows")
 _KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value")
 _NO_DATA = -9999.0  # the default of the format
+
+
+_LOOK_BYTES = 4096
+
+
+def look_at_ascii_grid(path: Path) -> Look:
+    """Look whether a file with the extension .asc is a grid, which is a surface, or a table of points.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        return Look(is_ascii_grid(_lines(file.read(_LOOK_BYTES))))
+
+
+def read_ascii_grid_mesh(path: Path, warn: Warn) -> Mesh:
+    """Read the surface of a grid.
+
+    Raises:
+        InputError: the file is no grid, or it is damaged.
+        OSError: the file cannot be read.
+    """
+    lines = _lines(path.read_bytes())
+    if not is_ascii_grid(lines):
+        raise InputError("expected a mesh, got a table of points: it is a cloud")
+    return parse_ascii_grid(lines).mesh(warn)
 
 
 def is_ascii_grid(lines: Sequence[str]) -> bool:
@@ -20,8 +49,8 @@ def is_ascii_grid(lines: Sequence[str]) -> bool:
     return first.split(maxsplit=1)[0].lower() in _REQUIRED if first else False
 
 
-def read_ascii_grid(lines: Sequence[str], warn: Warn) -> Fields:
-    """Return the centres of the cells with a value as points, row by row from the north.
+def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
+    """Return the grid in the lines of a file.
 
     Raises:
         InputError: the header is incomplete, or the number of values is not that of the cells.
@@ -50,16 +79,15 @@ def read_ascii_grid(lines: Sequence[str], warn: Warn) -> Fields:
         raise InputError(f"expected heights of cells as numbers: {str(error)[:80]}: export it again") from None
     x, y = (
         (header[f"{axis}llcenter"] if f"{axis}llcenter" in header else header.get(f"{axis}llcorner", 0) + step / 2)
-        + step * np.arange(count)
+        + step * np.arange(count, dtype=np.float64)
         for axis, step, count in zip("xy", steps, (columns, rows), strict=True)
     )
-    keep = z != header.get("nodata_value", _NO_DATA)
-    if not keep.any():
-        raise InputError(f"expected a grid with heights, got no data in all {len(z)} cells: export it again")
-    if len(z) > (kept := int(np.count_nonzero(keep))):
-        warn(f"left out {len(z) - kept} of {len(z)} cells without data")
-    points = np.stack([np.tile(x, rows), np.repeat(y[::-1], columns), z], axis=1)
-    return Fields(points=points[keep])
+    z[z == header.get("nodata_value", _NO_DATA)] = np.nan
+    return ElevationGrid(x, y[::-1], z.reshape(rows, columns))
+
+
+def _lines(data: bytes) -> list[str]:
+    return data.rstrip(b"\0\x1a").decode("utf-8-sig", errors="replace").splitlines()
 
 
 def _number(word: str, key: str, index: int) -> float:

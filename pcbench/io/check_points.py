@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
-from pcbench.io.text_layout import NUMBER
+from pcbench.io.text_layout import NUMBER, is_units_row
 from pcbench.regular_files import read_bytes
 
 _NAMES = {  # of columns, in lower case, without unit
@@ -87,8 +87,8 @@ def read_check_points(path: str | Path) -> CheckPoints:
 
     Columns are found by name (name, x, y, z, or easting, northing, height; class; sigma, or sigma_xy and sigma_z;
     measured_x, measured_y, measured_z), in capitals or not, behind a comment sign or not. Without a header, lines are
-    `name x y z` or `x y z`. The delimiter is a semicolon, a tab, a comma or blanks. Commas are decimal points unless
-    they delimit the columns.
+    `name x y z` or `x y z`. The delimiter is a semicolon, a tab, a comma or blanks, and may also end each line. Commas
+    are decimal points unless they delimit the columns. A row of units below the header is skipped.
 
     Args:
         path: the file, in UTF-8 or in the Windows code page 1252.
@@ -124,6 +124,9 @@ def _parse(path: Path, lines: Sequence[str]) -> CheckPoints:
     delimiter = _delimiter([text for _, text in content if not text.startswith(_COMMENTS)])
     header = _header(content, delimiter)
     rows = [line for line in _rows(content, delimiter) if header is None or line.number > header.number]
+    units = rows.pop(0) if header is not None and rows and is_units_row(rows[0].cells) else None
+    if header is None and rows and all(not row.cells[-1] for row in rows):
+        rows = [_Line(row.number, row.cells[:-1]) for row in rows]  # a delimiter ends each line
     if not rows:
         raise InputError(f"expected at least one check point, got none in {len(lines)} lines: expected {EXPECTED}")
     if len(rows) > _MAX_POINTS:
@@ -134,10 +137,13 @@ def _parse(path: Path, lines: Sequence[str]) -> CheckPoints:
     notes: list[str] = []
     if header is not None:
         columns = _columns_of(header)
+        if units is not None:
+            _check_units(units, columns)
+            notes.append(f"Line {units.number} of {path.name} was taken as the units of its columns.")
     else:
         columns = _columns_without_header(rows[0])
         notes.append(f"{path.name} has no header: its columns were taken as {', '.join(columns)}.")
-    if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row.cells):
+    if _uses_decimal_commas(delimiter, (row.cells for row in rows)):
         notes.append(f"Commas in {path.name} were taken as decimal points.")
     return _points_of(path, rows, _Table(columns, decimal_comma=delimiter != ","), notes)
 
@@ -152,6 +158,16 @@ def _delimiter(lines: Sequence[str]) -> str | None:
             return delimiter
     decimal = [sum(_DECIMAL_COMMA.fullmatch(word) is not None for word in line.split()) for line in sample]
     return None if max(decimal) >= 3 or not all("," in line for line in sample) else ","
+
+
+def has_decimal_commas(lines: Sequence[str]) -> bool:
+    """Return whether commas are decimal points in lines of surveyed points, since something else delimits columns."""
+    delimiter = _delimiter(lines)
+    return _uses_decimal_commas(delimiter, (line.split(delimiter) for line in lines))
+
+
+def _uses_decimal_commas(delimiter: str | None, rows: Iterable[Sequence[str]]) -> bool:
+    return delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell.strip()) for row in rows for cell in row)
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
@@ -222,6 +238,16 @@ def _columns_of(header: _Line) -> dict[str, int]:
             )
         columns[column] = index
     return columns
+
+
+def _check_units(row: _Line, columns: dict[str, int]) -> None:
+    """Raise InputError if x, y and z have different units."""
+    cells = [row.cells[columns[axis]].strip("[]()") for axis in "xyz" if columns[axis] < len(row.cells)]
+    if len(stated := {cell.lower() for cell in cells if cell}) > 1:
+        raise InputError(
+            f"line {row.number}: expected x, y and z in one unit, got {', '.join(sorted(stated))[:60]}: convert them to"
+            " one unit"
+        )
 
 
 def _columns_without_header(row: _Line) -> dict[str, int]:

@@ -15,17 +15,25 @@ from typing import NamedTuple
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
+from pcbench.io.ascii_grid import look_at_ascii_grid, read_ascii_grid_mesh
 from pcbench.io.colmap import read_colmap
 from pcbench.io.e57 import read_e57
 from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Look, Warn
+from pcbench.io.geotiff_heights import look_at_geotiff, read_geotiff_mesh, read_geotiff_points
 from pcbench.io.gltf import read_glb, read_gltf
+from pcbench.io.gltf_points import look_at_gltf, read_gltf_points, read_gltf_vertices
+from pcbench.io.ksplat import read_ksplat
 from pcbench.io.las import read_las, write_las
+from pcbench.io.lidar_bin import read_lidar_bin
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from pcbench.io.obj import look_at_obj, read_obj, read_obj_points, read_obj_vertices
 from pcbench.io.off import read_off
 from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import look_at_ply, read_ply, read_ply_mesh, read_ply_vertices, write_ply
+from pcbench.io.ptx import read_ptx
+from pcbench.io.splat import read_splat
+from pcbench.io.spz import read_spz, write_spz
 from pcbench.io.stl import read_stl
 from pcbench.io.text import read_text, write_text
 
@@ -54,8 +62,12 @@ class MeshFormat(NamedTuple):
 
 CLOUDS = {  # by lower-case extension or complete file name
     ".asc": CloudFormat(read_text, write_text),
+    ".bin": CloudFormat(read_lidar_bin),  # KITTI; .pcd.bin of nuScenes
     ".csv": CloudFormat(read_text, write_text),
     ".e57": CloudFormat(read_e57),
+    ".glb": CloudFormat(read_gltf_points),
+    ".gltf": CloudFormat(read_gltf_points),
+    ".ksplat": CloudFormat(read_ksplat),
     ".las": CloudFormat(read_las, write_las, filtered=True),
     ".laz": CloudFormat(read_las, write_las, filtered=True),  # .copc.laz too
     ".npy": CloudFormat(read_npy, write_npy),
@@ -64,6 +76,11 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".pcd": CloudFormat(read_pcd, write_pcd),
     ".ply": CloudFormat(read_ply, write_ply),
     ".pts": CloudFormat(read_text),
+    ".ptx": CloudFormat(read_ptx),
+    ".splat": CloudFormat(read_splat),
+    ".spz": CloudFormat(read_spz, write_spz),
+    ".tif": CloudFormat(read_geotiff_points),
+    ".tiff": CloudFormat(read_geotiff_points),
     ".txt": CloudFormat(read_text, write_text),
     ".xyz": CloudFormat(read_text, write_text),
     "ept.json": CloudFormat(read_ept, filtered=True),
@@ -77,9 +94,12 @@ MESHES = {
     ".stl": MeshFormat(read_stl),
     ".obj": MeshFormat(read_obj, read_obj_vertices, look_at_obj),
     ".ply": MeshFormat(read_ply_mesh, read_ply_vertices, look_at_ply),
-    ".glb": MeshFormat(read_glb),
-    ".gltf": MeshFormat(read_gltf),
+    ".glb": MeshFormat(read_glb, read_gltf_vertices, look_at_gltf),
+    ".gltf": MeshFormat(read_gltf, read_gltf_vertices, look_at_gltf),
     ".off": MeshFormat(read_off),
+    ".asc": MeshFormat(read_ascii_grid_mesh, read_text, look_at_ascii_grid),
+    ".tif": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
+    ".tiff": MeshFormat(read_geotiff_mesh, read_geotiff_points, look_at_geotiff),
 }
 
 

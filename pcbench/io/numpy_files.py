@@ -1,4 +1,4 @@
-"""Read and write NumPy files: .npy with points (N, 3) or points and normals (N, 6); .npz with named arrays.
+"""Read and write NumPy files: .npy with points (N, 3), (N, 4) or (N, 6); .npz with named arrays.
 
 numpy parses only the array header. The size in the header is compared with the file size before memory is allocated.
 Only numbers and texts are read, never pickles.
@@ -74,7 +74,7 @@ class _Header:
 
 
 def read_npy(path: Path, warn: Warn) -> Fields:
-    """Read points (N, 3), or points and normals or colours (N, 6), of any float or integer type.
+    """Read points (N, 3), with intensity (N, 4), or with normals or colours (N, 6), of any float or integer type.
 
     The last three of six columns are colours if most have no unit length and they fit a scale of `names.scale_colors`.
 
@@ -91,7 +91,7 @@ def read_npy(path: Path, warn: Warn) -> Fields:
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
-    """Read arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3); other (N,) arrays are attributes.
+    """Read arrays `points` (N, 3), (N, 4) or (N, 6), `normals` and `colors` (N, 3); other (N,) arrays are attributes.
 
     Colours may have any scale of `names.scale_colors`, and the arrays other usual names, such as `xyz` and `rgb`.
     `crs` and `unit` are texts. In an archive with one array, that array is the points, whatever its name. Arrays of
@@ -148,7 +148,10 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     fields["normals"] = arrays.pop("normals", fields.get("normals"))
     fields["colors"] = _scaled(arrays.pop("colors")) if "colors" in arrays else fields.get("colors")
     known_names = standard_names(list(arrays), taken=(*XYZ, *NORMALS, *COLORS))
-    fields["attributes"] = dict(zip(known_names, arrays.values(), strict=True))
+    fields["attributes"] = {
+        **fields.get("attributes", {}),
+        **dict(zip(known_names, arrays.values(), strict=True)),
+    }
     fields["crs"] = texts.get("crs")
     fields["unit"] = texts.get("unit")
     return fields
@@ -211,8 +214,11 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str, warn: Warn) -> str | 
 
 
 def _check_points(header: _Header) -> None:
-    if len(header.shape) != 2 or header.shape[1] not in (3, 6):
-        raise InputError(f"expected points of shape (N, 3), or (N, 6) with normals; got {header.shape}: reshape them")
+    if len(header.shape) != 2 or header.shape[1] not in (3, 4, 6):
+        raise InputError(
+            f"expected points of shape (N, 3), (N, 4) with intensity or (N, 6) with normals; got {header.shape}:"
+            " reshape them"
+        )
     if header.dtype.kind not in "fiu":
         raise InputError(f"expected points as floats or integers, got {header.dtype}: convert them")
     if not header.shape[0]:
@@ -230,6 +236,8 @@ def _points_fields(array: NDArray[Any]) -> Fields:
         points = array.astype(np.float64, copy=False)
     if points.shape[1] == 3:
         return Fields(points=points)
+    if points.shape[1] == 4:  # as in the data sets for driving; the attribute keeps its type
+        return Fields(points=points[:, :3], attributes={"intensity": array[:, 3].copy()})
     if are_colors(points[:, 3:]):
         return Fields(points=points[:, :3], colors=scale_colors(list(points[:, 3:].T)))
     return Fields(points=points[:, :3], normals=points[:, 3:])

@@ -17,7 +17,8 @@ from pcbench.regular_files import read_bytes
 VPC = ".vpc"
 EPT = "ept.json"
 _MAX_INDEX_BYTES = 1 << 30
-_SIDE_FILES = (".csv", ".txt", ".obj")  # beside tiles of other formats, these are usually reports and meshes
+# Beside tiles of other formats, these are usually reports, meshes, data of programs and orthophotos.
+_SIDE_FILES = (".csv", ".txt", ".obj", ".glb", ".gltf", ".bin", ".tif", ".tiff")
 
 
 class TileFiles(NamedTuple):
@@ -54,8 +55,9 @@ def input_files(path: Path) -> list[Path]:
 def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
 
-    Hidden files, and files of a folder with other extensions, are left out. So are .csv, .txt and .obj files of a
-    folder with clouds of other formats, with a warning. Files that differ only in their format give a warning.
+    Hidden files, and files of a folder with other extensions, are left out. So are tables, meshes, rasters and .bin
+    files of a folder with clouds of other formats, with a warning. Files that differ only in their format give a
+    warning.
 
     Args:
         path: a folder, a pattern or a `.vpc` file.
@@ -83,7 +85,9 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     copies = _copies_warning(_sorted(clouds))
     if len(clouds) == len(files):
         return TileFiles(_sorted(clouds), copies)
-    left_out = f"left out {len(others)} .csv, .txt and .obj files beside other clouds, such as {others[0].name}"
+    *some, last = sorted({file.suffix.lower() for file in others})
+    kinds = f"{', '.join(some)} and {last}" if some else last
+    left_out = f"left out {len(others)} {kinds} files beside other clouds, such as {others[0].name}"
     return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds", *copies))
 
 

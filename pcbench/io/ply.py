@@ -32,7 +32,9 @@ from pcbench.io.names import (
 )
 from pcbench.io.ply_body import read_elements
 from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, check_faces, check_vertices, read_header
+from pcbench.io.ply_packed import ELEMENTS, check_packed, is_packed, unpack
 from pcbench.io.polygons import left_out_surface, triangulate, triangulate_strips
+from pcbench.io.splat_fields import DC, colors_of
 from pcbench.scratch import atomic_write
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
@@ -73,7 +75,8 @@ def read_ply_vertices(path: Path, warn: Warn, header: PlyHeader | None = None) -
     type and, in native byte order, are strided views into the bytes read. List properties and other elements are
     checked for their size and left out. Normals that are all zero, as in Gaussian splats, are left out. The lines
     `comment crs EPSG:32617` and `comment unit m` set the crs and unit. `comment coordinates about X Y Z` is an origin
-    that is added to all points, since floats have too few digits for projected coordinates.
+    that is added to all points, since floats have too few digits for projected coordinates. Compressed Gaussian splats
+    are unpacked.
 
     Raises:
         InputError: the file is not a complete PLY file with at least one vertex.
@@ -81,6 +84,10 @@ def read_ply_vertices(path: Path, warn: Warn, header: PlyHeader | None = None) -
     """
     # Damaged floats may be signalling NaNs or overflow a narrower type; they become NaN or Inf and are dropped later.
     with _open_body(path, header) as (file, header), np.errstate(invalid="ignore", over="ignore"):
+        if is_packed(header):
+            check_packed(header)
+            tables = read_elements(file, header, warn, scalars=ELEMENTS)
+            return unpack(*(tables[name].columns if name in tables else {} for name in ELEMENTS))
         check_vertices(header)
         columns = read_elements(file, header, warn, scalars=("vertex",))["vertex"].columns
         return _fields(columns, header, warn)
@@ -116,6 +123,8 @@ def find_rows(path: Path, warn: Warn, header: PlyHeader | None = None) -> PlyRow
         OSError: the file cannot be read.
     """
     with _open_body(path, header) as (file, header):
+        if is_packed(header):
+            return None
         check_vertices(header)
         start = header.nbytes
         if header.byte_order is None:
@@ -176,6 +185,8 @@ def has_normals(path: Path, rows: PlyRows) -> bool:
 def _fields(columns: Columns, header: PlyHeader, warn: Warn, keep_zero_normals: bool = False) -> Fields:
     points = _points(columns, header)
     normals, colors, attributes = take_fields(columns, warn)
+    if colors is None and attributes.keys() >= set(DC):  # splats
+        colors = colors_of(np.stack([attributes[name] for name in DC], axis=1))
     return Fields(
         points=points,
         normals=normals if normals is not None and (keep_zero_normals or normals.any()) else None,

@@ -143,11 +143,6 @@ def check_vertices(header: PlyHeader) -> None:
         if prop.name in XYZ and prop.length is not None:
             raise InputError(f"expected property {prop.name!r} as a number, got a list: export the file again")
     properties = [prop.name for prop in vertex.properties]
-    if "packed_position" in properties:
-        raise InputError(
-            "expected coordinates, got Gaussian splats that are compressed for web viewers (packed_position): convert"
-            " them with 'splat-transform IN.compressed.ply OUT.ply' of PlayCanvas"
-        )
     if missing := [name for name in XYZ if name not in properties]:
         raise InputError(
             f"expected vertex properties x, y, z; missing: {', '.join(missing)} among {', '.join(properties)[:100]}:"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.ascii_grid import is_ascii_grid, read_ascii_grid
+from pcbench.io.ascii_grid import is_ascii_grid, parse_ascii_grid
 from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end
 from pcbench.io.names import (
     COLORS,
@@ -53,7 +53,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
     check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
     if is_ascii_grid(lines):
-        return read_ascii_grid(lines, warn)
+        return parse_ascii_grid(lines).points(warn)
     layout = find_layout(lines)
     for line in layout.warnings:
         warn(line)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from pcbench.errors import InputError
@@ -103,7 +103,7 @@ def find_layout(lines: list[str]) -> TableLayout:
             if len(words) < 3:
                 raise InputError(f"line {index + 1}: expected at least 3 columns, got {excerpt(text)}: export it again")
             break
-        if header is not None and not units and _is_units_row(words):
+        if header is not None and not units and is_units_row(words):
             units = words
             continue
         is_header = _has_xyz(numbers) or not any(NUMBER.fullmatch(word) for word in words)
@@ -128,6 +128,12 @@ def find_layout(lines: list[str]) -> TableLayout:
     decimal_comma = delimiter != "," and _has_decimal_commas(lines[index:], delimiter)
     if decimal_comma:
         warnings.append("commas are read as decimal points")
+    pairs = re.split(r",\s+", numbers)
+    if delimiter == "," and len(pairs) >= 3 and all(map(_DECIMAL_COMMA.fullmatch, pairs)):
+        raise InputError(
+            f"line {index + 1}: expected decimal points, got commas in numbers and between them: {excerpt(text)}:"
+            " export it with semicolons between the numbers"
+        )
     if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
         raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")
     return TableLayout(
@@ -222,7 +228,8 @@ def _has_decimal_commas(lines: Iterable[str], delimiter: str | None) -> bool:
 # ---- header -------------------------------------------------------------------------------------------------------
 
 
-def _is_units_row(words: list[str]) -> bool:
+def is_units_row(words: Sequence[str]) -> bool:
+    """Return whether the words of a line below a header are the units of its columns, such as `m;m;m`."""
     unit_words = sum(_UNIT_WORD.fullmatch(word) is not None for word in words)
     return unit_words >= 3 and all(len(word) <= 20 and not NUMBER.fullmatch(word) for word in words)
 
@@ -270,6 +277,9 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
             f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {excerpt(text)}: name the"
             " columns in this line"
         )
+    # `split` drops one empty unit at the end of the row, since a delimiter may end each line.
+    if units_row and len(units_row) == len(names) - 1:
+        units_row = [*units_row, ""]
     if len(names) not in (width, width - 1) or (units_row and len(units_row) != len(names)):
         raise InputError(
             f"line {index + 1}: expected {width} column names, one per value, got {len(names)}: correct the header"

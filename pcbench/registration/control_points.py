@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.io.check_points import has_decimal_commas
+from pcbench.io.text_layout import is_units_row
 from pcbench.registration.given import method_files
 from pcbench.registration.motion import MotionFrame, PoseCovariance
 from pcbench.registration.residuals import SurveyResiduals
@@ -73,8 +75,9 @@ class ControlPoints:
     def read(cls, path: str | Path) -> ControlPoints:
         """Read pairs from a text file: the method `points:FILE`.
 
-        Each line has a name, x y z in the candidate and x y z in the reference. Names that end in * are check points.
-        The comment `# z is up` states that the reference's z is height.
+        Each line has a name, x y z in the candidate and x y z in the reference, between blanks, commas, semicolons or
+        tabs; commas are decimal points unless they delimit. Names that end in * are check points. The comment `# z is
+        up` states that the reference's z is height.
 
         Args:
             path: text file.
@@ -158,11 +161,14 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
         lines = read_text(path).splitlines()
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read the pairs: {reason_of(error)}") from error
-    names, rows = [], []
+    names: list[str] = []
+    rows: list[list[float]] = []
     z_is_up = any(states_z_is_up(line) for line in lines)
-    for number, line in enumerate(lines, 1):
-        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
+    texts = [line.split("#")[0].strip() for line in lines]
+    decimal_comma = has_decimal_commas([text for text in texts if text])
+    for number, (line, text) in enumerate(zip(lines, texts, strict=True), 1):
+        words = text.replace(",", "." if decimal_comma else " ").replace(";", " ").split()
+        if not words or (not rows and is_units_row(words)):
             continue
         try:
             rows.append([float(word) for word in words[1:]])

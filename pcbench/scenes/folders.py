@@ -8,12 +8,15 @@ from pathlib import Path
 from pcbench.errors import InputError
 from pcbench.io.colmap_folders import find_model
 from pcbench.io.files import Warn
+from pcbench.io.gaussian_cameras import is_gaussian_cameras
 from pcbench.io.image_header import EXTENSIONS
+from pcbench.io.metashape import is_metashape_export
 from pcbench.regular_files import has_entry, read_bytes, read_json
 
 # In order of search: COLMAP and nerfstudio; NeRF's synthetic scenes; RGB-D data sets; Earth Studio.
 _IMAGE_FOLDERS = ("images", "train", "rgb", "footage")
 _TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
+_GAUSSIAN_CAMERAS = "cameras.json"
 _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # possible folders of Strecha's files
 _CALIBRATION_NAMES = re.compile(
     r"(k|.*_par|(intrinsics?|calib|calibration|cameras?|cam)([_-].*)?)\.(txt|xml|json|ya?ml|csv|npz|bin)|transforms.*\.json"
@@ -98,7 +101,12 @@ def find_cameras(path: Path, warn: Warn) -> Path | None:
         raise InputError(
             f"{path}: expected one camera export, got {exports[0].name} and {exports[1].name}: choose one by its file"
         )
-    return exports[0] if exports else None
+    if exports:
+        return exports[0]
+    if is_gaussian_cameras(path / _GAUSSIAN_CAMERAS):
+        return path / _GAUSSIAN_CAMERAS
+    projects = [file for file in visible_files(path, "*.xml") if is_metashape_export(file)]
+    return projects[0] if len(projects) == 1 else None
 
 
 def named_cameras(path: Path, warn: Warn) -> Path:

@@ -20,8 +20,10 @@ from pcbench.io.colmap import read_points3d
 from pcbench.io.colmap_folders import CAMERA_FILES, is_colmap_model, points_file
 from pcbench.io.colmap_model import has_points, read_colmap_cameras
 from pcbench.io.earth_studio import PROJECT_FILE_HINT, describe_sphere_scale, read_earth_studio
+from pcbench.io.gaussian_cameras import is_gaussian_cameras, read_gaussian_cameras
 from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.k_matrix import K_MATRIX_FILE, intrinsics_from_k, read_k_matrix
+from pcbench.io.metashape import is_metashape, read_metashape
 from pcbench.io.openmvs import is_openmvs, read_openmvs
 from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
@@ -60,7 +62,8 @@ def read_scene(
         cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (in the
             folder, sparse or colmap/sparse, or the largest of those in their subfolders 0, 1, ...), transforms.json,
             transforms_train.json, Strecha's `.camera` files (in the folder, gt_dense_cameras or images), an OpenMVS
-            scene (`.mvs`), an Earth Studio export. Cameras are matched to images by name, frames of Earth Studio by
+            scene (`.mvs`), an Earth Studio export, the cameras.json of a model of Gaussian splats, the only XML file of
+            Metashape's cameras. Cameras are matched to images by name, frames of Earth Studio by
             order or number. Images without a camera get the intrinsics of a `K.txt` next to them or in the folder.
             Intrinsics for another image size are scaled if the aspect ratio is equal.
         masks: folder with a mask NAME.png for an image NAME (with or without its extension). Defaults to `masks/` in
@@ -275,6 +278,10 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
         return _CameraFile([read_strecha(source)])
     if is_openmvs(source):
         return _CameraFile(*read_openmvs(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+    if is_metashape(source):
+        return _CameraFile(read_metashape(source, warn))
+    if is_gaussian_cameras(source):
+        return _CameraFile(read_gaussian_cameras(source))
     if source.suffix.lower() == ".esp":
         raise InputError(f"{source}: {PROJECT_FILE_HINT}")
     if is_earth_studio(source):

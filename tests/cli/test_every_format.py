@@ -6,9 +6,12 @@ import struct
 
 import e57_bytes
 import ept_bytes
+import height_grid_files
 import mesh_bytes
 import numpy as np
+import ptx_bytes
 import pytest
+import splat_bytes
 import splat_models
 from command_line import is_one_line
 from las_bytes import las
@@ -21,6 +24,7 @@ from pcbench.io.formats import CLOUDS, MESHES
 POINTS = np.random.default_rng(0).uniform(0, 9, (20, 3)).round(3)
 CUBE_VERTICES = 8
 EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh", ".e57": "pye57"}
+EXTRAS |= dict.fromkeys((".tif", ".tiff"), "tifffile")
 
 
 def make_gltf():
@@ -47,6 +51,13 @@ def make_colmap_binary():
 
 # Formats that pcbench does not write: the bytes of a file and its number of points or vertices.
 UNWRITABLE_FORMATS = {
+    ".bin": (np.column_stack([POINTS, POINTS[:, 0]]).astype("<f4").tobytes(), 20),
+    ".ksplat": (None, 9),
+    ".ptx": (ptx_bytes.scan([(*point, 0.5) for point in POINTS.tolist()]).encode(), 20),
+    ".splat": (splat_bytes.SPLAT_ROW * 20, 20),
+    ".spz": (splat_bytes.packed_spz(3), 2),
+    ".tif": (None, 16),
+    ".tiff": (None, 16),
     ".pts": (b"20\n" + "\n".join(" ".join(map(str, p)) for p in POINTS.tolist()).encode(), 20),
     ".stl": (mesh_bytes.stl(), CUBE_VERTICES),
     ".obj": (mesh_bytes.obj(), CUBE_VERTICES),
@@ -74,6 +85,10 @@ def example(request, tmp_path, monkeypatch):
         file.write_bytes(las(7, 12, compress="variable"))
     elif extension == "ept.json":
         ept_bytes.write(tmp_path, 60, "binary")
+    elif extension in (".tif", ".tiff"):
+        height_grid_files.write_tif(file, np.arange(16.0).reshape(4, 4))
+    elif extension == ".ksplat":
+        file.write_bytes(splat_bytes.ksplat(0, splats=9))
     elif extension == ".e57":
         e57_bytes.write(file, [dict(zip(e57_bytes.XYZ, POINTS.T, strict=True))])
     elif extension in UNWRITABLE_FORMATS:
@@ -93,7 +108,8 @@ def test_info_and_convert(example, run):
     assert (re.search("^  mesh ", out, re.MULTILINE) is not None) == (noun == "vertices")
     code, out, err = run("convert", file.name, "out.xyz")
     assert (code, out) == (0, f"out.xyz: {count} points\n")
-    assert ("vertices of a mesh, not its surface" in err) if noun == "vertices" else not err
+    is_grid = file.suffix in (".tif", ".tiff")  # its cells are points without a warning
+    assert ("vertices of a mesh, not its surface" in err) if noun == "vertices" and not is_grid else not err
     assert len(read_cloud("out.xyz")) == count
 
 

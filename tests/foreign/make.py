@@ -2,10 +2,13 @@
 
     python tests/foreign/make.py
 
-needs laspy, lazrs, plyfile, pypcd4, meshio, trimesh, pandas, open3d, pye57, pycolmap and pymeshlab in the environment,
-and Debian's cloudcompare and xvfb. A program that is missing is named, and its files stay as they are.
+needs laspy, lazrs, plyfile, pypcd4, meshio, trimesh, pandas, open3d, pye57, pycolmap, pymeshlab and ply2splat in the
+environment, Debian's cloudcompare and xvfb, and node with the packages @playcanvas/splat-transform,
+@mkkellogg/gaussian-splats-3d and three in the folder NODE_FOLDER/node_modules. A program that is missing is named, and
+its files stay as they are.
 """
 
+import os
 import struct
 import subprocess
 import sys
@@ -16,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SURFACES = HERE / "surfaces"
+SURFACES, SPLATS_FOLDER = HERE / "surfaces", HERE / "splats"
+NODE = Path(os.environ.get("NODE_FOLDER", ".")) / "node_modules"
 
 # Exact in float32 and in three decimals, so that no writer rounds them.
 POINTS = np.array(
@@ -37,6 +41,31 @@ TRIANGLES = np.array(
     + [[1, 5, 7], [1, 7, 3]]
 )
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+
+# Splats at the points, with harmonics of degree 1, under the names of Kerbl et al. 2023.
+SPLATS = dict(zip("xyz", POINTS.T, strict=True)) | dict.fromkeys(("nx", "ny", "nz"), np.zeros(8))
+SPLATS |= {f"f_dc_{k}": (COLORS[:, k] / 255 - 0.5) / 0.28209479177387814 for k in range(3)}
+SPLATS |= {f"f_rest_{k}": np.linspace(-0.5, 0.5, 8) * (1 - k / 5) for k in range(9)}
+SPLATS |= {"opacity": np.linspace(-3, 3, 8)} | {f"scale_{k}": np.linspace(-5, -1, 8) - k for k in range(3)}
+SPLATS |= dict(zip(("rot_0", "rot_1", "rot_2", "rot_3"), np.array(
+    [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1], [0.5, 0.5, 0.5, 0.5], [-0.1, 0.3, -0.5, 0.806225775],
+     [0.8, 0, -0.6, 0], [0.6, -0.64, 0.48, 0]]
+).T, strict=True))  # fmt: skip
+
+# GaussianSplats3D is made for browsers, whose objects it asks for when it is loaded.
+KSPLAT = """
+import fs from 'fs';
+Object.assign(globalThis, {window: {}, self: globalThis, document: {createElement: () => ({getContext: () => null})}});
+const [node, source, target, level] = process.argv.slice(1);
+const {PlyParser, SplatBufferGenerator} = await import(`${node}/@mkkellogg/gaussian-splats-3d/build/` +
+    'gaussian-splats-3d.module.js');
+const {Vector3} = await import(`${node}/three/build/three.module.js`);
+const data = fs.readFileSync(source);
+const splats = PlyParser.parseToUncompressedSplatArray(data.buffer.slice(data.byteOffset,
+    data.byteOffset + data.byteLength), 1);
+const generator = SplatBufferGenerator.getStandardGenerator(1, Number(level), 0, new Vector3(), 5.0, 4);
+fs.writeFileSync(target, Buffer.from(generator.generateFromUncompressedSplatArray(splats).bufferData));
+"""
 
 
 def by_laspy() -> None:
@@ -204,6 +233,29 @@ def by_cloudcompare() -> None:
             subprocess.run(run, check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=60)
 
 
+def by_splat_programs() -> None:
+    import ply2splat
+
+    SPLATS_FOLDER.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "splats.ply"
+        properties = "".join(f"property float {name}\n" for name in SPLATS)
+        header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(POINTS)}\n{properties}end_header\n"
+        source.write_bytes(header.encode() + np.column_stack(list(SPLATS.values())).astype("<f4").tobytes())
+        ply2splat.convert(str(source), str(SPLATS_FOLDER / "ply2splat.splat"), sort=False)
+        transform = [str(NODE / ".bin" / "splat-transform"), "-w", str(source)]
+        for name, options in {
+            "playcanvas.compressed.ply": [],
+            "playcanvas_3.spz": ["--spz-version", "3"],
+            "playcanvas_4.spz": ["--spz-version", "4"],
+        }.items():
+            subprocess.run([*transform, *options, str(SPLATS_FOLDER / name)], check=True, stdout=subprocess.DEVNULL)
+        for level in "012":
+            target = str(SPLATS_FOLDER / f"mkkellogg_{level}.ksplat")
+            script = ["node", "--input-type=module", "-e", KSPLAT, str(NODE.absolute()), str(source), target, level]
+            subprocess.run(script, check=True, stdout=subprocess.DEVNULL)
+
+
 PROGRAMS: tuple[Callable[[], None], ...] = (
     by_laspy,
     by_plyfile,
@@ -216,6 +268,7 @@ PROGRAMS: tuple[Callable[[], None], ...] = (
     by_numpy_and_pandas,
     by_pycolmap,
     by_cloudcompare,
+    by_splat_programs,
 )
 
 if __name__ == "__main__":

@@ -19,6 +19,9 @@ FORMS = {
     "columns in another order": b"z;N;E;id\n3;2.25;1.5;a\n6.5;5;4;b\n",
     "UTF-16": "id,x,y,z\na,1.5,2.25,3\nb,4,5,6.5\n".encode("utf-16"),
     "trailing delimiters": b"id, x, y, z,\na, 1.5, 2.25, 3,\nb, 4, 5, 6.5,\n",
+    "row of units": b"id;x;y;z;\n;m;m;m;\na;1,5;2,25;3,0;\nb;4,0;5,0;6,5;\n",
+    "row of units in brackets": b"id x y z\n- [m] [m] [m]\na 1.5 2.25 3\nb 4 5 6.5\n",
+    "trailing delimiters without header": b"a;1,5;2,25;3,0;\nb;4,0;5,0;6,5;\n",
     "other columns": b'id,code,x,y,z,remark\na,GR,1.5,2.25,3,"nice, flat"\nb,GR,4,5,6.5,\n',
 }
 
@@ -83,6 +86,7 @@ MISTAKES = {
     "one name twice": "id,x,y,z\na,1,2,3\n\na,4,5,6\n",
     "unknown class": "id,x,y,z,class\na,1,2,3,GCP\n",
     "negative": "id,x,y,z,sigma\na,1,2,3,-1\n",
+    "different units": "id,x,y,z\n-,m,m,ft\na,1,2,3\n",
     "half a target": "id,x,y,z,measured_x,measured_y\na,1,2,3,1.1,\n",
     "a long line": "id,x,y,z\n" + "a" * 200_000 + ",1,2,3\n",
     "a cloud": "1 2 3\n" * 20_001,

@@ -8,12 +8,14 @@ from optional import import_or_skip
 def check_corpus(corpus, count, seed, folder):
     if corpus == "laz":
         import_or_skip("lazrs")
+    if corpus == "tif":
+        import_or_skip("tifffile")
     if corpus == "e57":
         import_or_skip("pye57")
     fuzz_worker.run(corpus, count, seed, folder)
 
 
-# Each LAZ file with a valid header starts a child process (about 15 ms), and so does each E57 file (about 200 ms).
+# Each LAZ file with a valid header starts a child process (about 15 ms), as each E57 and TIFF file (about 200 ms).
 @pytest.mark.parametrize(
     ("corpus", "count"),
     [
@@ -25,6 +27,13 @@ def check_corpus(corpus, count, seed, folder):
         ("meshes", 80),
         pytest.param("e57", 15, marks=pytest.mark.long),
         ("mvs", 80),
+        ("ptx", 80),
+        ("bin", 80),
+        ("splat", 80),
+        ("spz", 80),
+        ("ksplat", 80),
+        ("glb", 80),
+        pytest.param("tif", 15, marks=pytest.mark.long),
     ],
 )
 def test_damaged_files(tmp_path, corpus, count):
@@ -43,6 +52,13 @@ def test_damaged_files(tmp_path, corpus, count):
         ("meshes", 10_000),
         ("e57", 2000),
         ("mvs", 20_000),
+        ("ptx", 20_000),
+        ("bin", 20_000),
+        ("splat", 20_000),
+        ("spz", 20_000),
+        ("ksplat", 20_000),
+        ("glb", 20_000),
+        ("tif", 1000),
     ],
 )
 def test_many_damaged_files(tmp_path, corpus, count):

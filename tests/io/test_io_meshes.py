@@ -105,10 +105,11 @@ def test_holds_mesh(tmp_path):
     (tmp_path / "head.ply").write_bytes(header_parts[0] + header_parts[1])  # the body is not read
     (tmp_path / "damaged.ply").write_bytes(b"plyply")
     (tmp_path / "a.obj").write_bytes(obj())
-    for name in ("points.obj", "a.GLB", "a.npy", "a"):
+    (tmp_path / "a.GLB").write_bytes(glb())
+    for name in ("points.obj", "damaged.glb", "a.npy", "a"):
         (tmp_path / name).write_bytes(b"v 1 2 3\nv 4 5 6\n")
     expected = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False}
-    expected |= {"a.obj": True, "points.obj": False, "a.GLB": True, "a.npy": False, "a": False}
+    expected |= {"a.obj": True, "points.obj": False, "a.GLB": True, "damaged.glb": False, "a.npy": False, "a": False}
     assert {name: Source.open(tmp_path / name).holds_mesh for name in expected} == expected
 
 

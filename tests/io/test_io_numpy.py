@@ -92,6 +92,18 @@ def test_six_columns_with_colors_or_normals(tmp_path):
         np.testing.assert_allclose(read_cloud(path).colors, colors * 255, atol=1)  # whole numbers
 
 
+def test_four_columns_have_intensity(tmp_path):
+    rows = np.array([[1, 2, 3, 40], [5, 6, 7, 80]], dtype=np.float32)
+    np.save(tmp_path / "a.npy", rows)
+    np.savez(tmp_path / "a.npz", points=rows, ring=np.arange(2))
+    for name in ("a.npy", "a.npz"):
+        cloud = read_cloud(tmp_path / name)
+        np.testing.assert_array_equal(cloud.points, rows[:, :3])
+        assert cloud.attributes["intensity"].tolist() == [40, 80]
+        assert cloud.attributes["intensity"].dtype == np.float32
+    assert cloud.attributes["ring"].tolist() == [0, 1]
+
+
 POINTS = np.arange(12.0).reshape(4, 3)
 DAMAGED_NPY = {
     "magic": b"ply\n" + bytes(40),
@@ -117,7 +129,7 @@ DAMAGED_NPY = {
     "rows of rows": npy_header("'(2,)<f8'"),
     "bool": npy_bytes(np.ones((4, 3), bool)),
     "flat": npy_bytes(np.arange(12.0)),
-    "wide": npy_bytes(np.zeros((3, 4))),
+    "wide": npy_bytes(np.zeros((3, 5))),
     "no points": npy_bytes(np.zeros((0, 3))),
     "nan": npy_bytes(np.full((2, 3), np.nan)),
 }

@@ -135,17 +135,6 @@ def test_colors(tmp_path, form, names):
     assert list(cloud.attributes) == ["alpha"]
 
 
-def test_compressed_splats_are_refused(tmp_path):
-    packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
-    data = ply(
-        "binary_little_endian",
-        ("chunk", [f"float {name}" for name in ("min_x", "max_x")], [(0.0, 1.0)]),
-        ("vertex", [f"uint {name}" for name in packed], [(1, 2, 3, 4)]),
-    )
-    with check_error():
-        read(tmp_path, data)
-
-
 @ALL_FORMATS
 def test_normals(tmp_path, form):
     properties = ["float nz", *XYZ, "float nx", "float ny"]

@@ -198,6 +198,13 @@ def test_repeated_names_are_numbered(tmp_path):
     assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"a": [4], "a_5": [5]}
 
 
+def test_units_below_the_names(tmp_path):
+    text = "X;Y;Z;Intensity;\nm;m;m;;\n1,5;2,0;3,0;12;\n2,5;3,0;4,25;13;\n"
+    cloud, _ = read_with_notes(tmp_path, text)
+    assert (cloud.points.tolist(), cloud.unit) == ([[1.5, 2, 3], [2.5, 3, 4.25]], "m")
+    assert cloud.attributes["intensity"].tolist() == [12, 13]
+
+
 EMPTY_VALUES = {  # of attributes a and b; other programs write them for NaN
     "in the middle": ("x,y,z,a,b\n1,2,3,4,5\n6,7,8,,9\n", [[4, np.nan], [5, 9]]),
     "at the end": ("x,y,z,a,b\n1,2,3,4,5\n6,7,8,9,\n", [[4, 9], [5, np.nan]]),
@@ -340,6 +347,7 @@ DAMAGED_TEXTS = {
     "names": "x y z a\n1 2 3\n",
     "twice": "x y z x\n1 2 3 4\n",
     "thousands": "1,234.5;2,345.6;3,456.7\n",
+    "commas of two kinds": "1,5, 2,0, 3,0\n2,5, 3,0, 4,5\n",
     "thousands or decimals": "1,234;2,345;3,456\n",
     "quoted commas": '"1,5","2,5","3,5"\n',
     "count": "4\n1 2 3\n4 5 6\n",

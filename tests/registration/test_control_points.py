@@ -35,6 +35,28 @@ def test_control_and_check_points_from_a_file_and_from_arrays_agree(scene, tmp_p
     assert by_object.method == "points"
 
 
+PAIRS = [[0, 0.5, 0, 10, 0.25, 0], [1, 0, 0, 11, 0, 0], [0, 1.5, 0, 10, 1.5, 0], [0, 0, 2, 10, 0, 2]]
+NUMBERS = ["\t".join(map(str, row)) for row in PAIRS]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [f"{name}\t{row}" for name, row in zip("abcd", NUMBERS, strict=True)],
+        [f"{name};{row.replace('.', ',')};".replace("\t", ";") for name, row in zip("abcd", NUMBERS, strict=True)],
+        [f"{name} {row.replace('.', ',')}".replace("\t", " ") for name, row in zip("abcd", NUMBERS, strict=True)],
+        [f"{name},{row},".replace("\t", ",") for name, row in zip("abcd", NUMBERS, strict=True)],
+    ],
+    ids=["tabs", "decimal commas and trailing semicolons", "decimal commas between blanks", "trailing commas"],
+)
+@pytest.mark.parametrize("header", [[], ["id;x;y;z;x2;y2;z2;", ";m;m;m;m;m;m;"]], ids=["", "header and units"])
+def test_tables_of_spreadsheets(tmp_path, lines, header):
+    (tmp_path / "pairs.txt").write_text("\n".join([*header, *lines]))
+    pairs = ControlPoints.read(tmp_path / "pairs.txt")
+    np.testing.assert_array_equal(np.hstack([pairs.candidate, pairs.reference]), PAIRS)
+    assert pairs.names == tuple("abcd")
+
+
 @pytest.mark.parametrize(
     "text",
     [
