@@ -61,9 +61,7 @@ def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -
     return None if square is None else Estimate(*(math.sqrt(end) for end in square))
 
 
-def statistic_estimate(
-    value: float, blocks: IntArray, statistic: Callable[[FloatArray], float], seed: int
-) -> Estimate:
+def statistic_estimate(value: float, blocks: IntArray, statistic: Callable[[FloatArray], float], seed: int) -> Estimate:
     """Return a value with the interval of a statistic of weighted values.
 
     Args:

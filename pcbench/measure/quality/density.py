@@ -108,7 +108,9 @@ def measure_density(
     nearest = index.query(points[rows], 2).distances[:, 1]
     spread = median_estimate(nearest, partition(points[rows]).of_point, seed)
     assert surface is not None and spread is not None
-    scale = sampling.spacing / spread.value if spread.value > 0 else math.nan  # lines and copies have another definition
+    scale = (
+        sampling.spacing / spread.value if spread.value > 0 else math.nan
+    )  # lines and copies have another definition
     low, high = np.percentile(densities, (5, 95))
     grid = plan_counts(points, POINTS_PER_CELL)
     pulses = points if is_first is None else points[is_first]

@@ -53,9 +53,7 @@ class MapEntropy(NamedTuple):
     sample: int
 
 
-def map_entropy(
-    index: Index, radius: float, min_neighbors: int, seed: int, sample: int = SAMPLE
-) -> MapEntropy | None:
+def map_entropy(index: Index, radius: float, min_neighbors: int, seed: int, sample: int = SAMPLE) -> MapEntropy | None:
     """Return mean map entropy and mean plane variance; None if too few points have enough neighbours.
 
     Args:

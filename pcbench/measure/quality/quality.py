@@ -173,7 +173,9 @@ def measure_quality(
         data = data.select(~is_outlier)
     step("measuring the noise")
     radius = _radius(index, sampling, settings)
-    patches = fit_patches(index, seeds_of(index.points, radius, settings.seed), radius, settings.min_neighbors, settings.seed)
+    patches = fit_patches(
+        index, seeds_of(index.points, radius, settings.seed), radius, settings.min_neighbors, settings.seed
+    )
     step("looking for double walls")
     walls = double_walls(
         index, sampling.spacing, max(faults.steps), settings.max_separation, settings.seed, data.normals

@@ -183,7 +183,11 @@ def _split(
     within = groups.sums(1.0 * ((position >= 0) & (position <= 1)))
     sides = np.stack([groups.along(centred, axes[:, :, k]) >= 0 for k in (1, 2)])
     quadrants = [
-        sum((groups.sums(1.0 * ((sides[0] == a) & (sides[1] == b) & part)) > 0).astype(int) for a in (0, 1) for b in (0, 1))
+        sum(
+            (groups.sums(1.0 * ((sides[0] == a) & (sides[1] == b) & part)) > 0).astype(int)
+            for a in (0, 1)
+            for b in (0, 1)
+        )
         for part in (upper, ~upper)
     ]
     smaller = counts.min(axis=0)
@@ -215,9 +219,7 @@ def _upper_part(groups: Groups, heights: FloatArray) -> NDArray[np.bool_]:
     above = groups.counts[groups.of_row] - below
     low = sums - before[groups.of_row]
     high = totals[groups.of_row] - low
-    between = np.where(
-        above > 0, below * above * (high / np.maximum(above, 1) - low / below) ** 2, 0.0
-    )
+    between = np.where(above > 0, below * above * (high / np.maximum(above, 1) - low / below) ** 2, 0.0)
     best = np.maximum.reduceat(between, groups.starts)
     is_best = between == best[groups.of_row]
     place = np.where(is_best, np.arange(len(ordered)), len(ordered))
@@ -276,9 +278,7 @@ def _components(sheets: _Sheets) -> IntArray:
     ratio = sheets.separations[first] / sheets.separations[second]
     aligned = np.abs(np.einsum("ni,ni->n", sheets.normals[first], sheets.normals[second]))
     agrees = (
-        (ratio < _MAX_LINK_RATIO)
-        & (ratio > 1 / _MAX_LINK_RATIO)
-        & (aligned > np.cos(np.radians(_MAX_LINK_ANGLE_DEG)))
+        (ratio < _MAX_LINK_RATIO) & (ratio > 1 / _MAX_LINK_RATIO) & (aligned > np.cos(np.radians(_MAX_LINK_ANGLE_DEG)))
     )
     links = coo_matrix((np.ones(int(agrees.sum())), (first[agrees], second[agrees])), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)

@@ -193,7 +193,13 @@ def _offsets(
     mean = max(float(index.query_radius(seeds[:: max(len(seeds) // 64, 1)], radius).counts.mean()), 1.0)
     step = max(int(_CHUNK_ROWS / max(mean, 3.0 * count)), 1)
     parts = [
-        _offsets_at(Groups.of(index.query_radius(seeds[k : k + step], radius), index.points), strips, count, seeds[k : k + step], radius)
+        _offsets_at(
+            Groups.of(index.query_radius(seeds[k : k + step], radius), index.points),
+            strips,
+            count,
+            seeds[k : k + step],
+            radius,
+        )
         for k in range(0, len(seeds), step)
     ]
     normals, offsets = zip(*parts, strict=True)

@@ -95,9 +95,15 @@ def find_voids(pulses: FloatArray, spacing: float, is_water: NDArray[np.bool_] |
     inside = inside[sizes[inside] * cell**2 >= least]
     mask = np.isin(labels, inside)
     voids = []
-    water = None if is_water is None or not is_water.any() else counted(pulses[is_water], low - margin * cell, high + margin * cell, cell)
+    water = (
+        None
+        if is_water is None or not is_water.any()
+        else counted(pulses[is_water], low - margin * cell, high + margin * cell, cell)
+    )
     boxes = find_objects(labels)
-    for number, (row, column) in zip(inside.tolist(), center_of_mass(mask, labels, inside) if len(inside) else [], strict=True):
+    for number, (row, column) in zip(
+        inside.tolist(), center_of_mass(mask, labels, inside) if len(inside) else [], strict=True
+    ):
         is_at_water = False
         if water is not None:
             rows, columns = (slice(max(side.start - 3, 0), side.stop + 3) for side in boxes[number - 1])
@@ -107,7 +113,5 @@ def find_voids(pulses: FloatArray, spacing: float, is_water: NDArray[np.bool_] |
         x, y = grid.west + (column + 0.5) * cell, grid.north - (row + 0.5) * cell
         voids.append(Void(float(x), float(y), float(sizes[number]) * cell**2, is_at_water))
     inner = slice(margin, -margin)
-    part = PlanMap(
-        grid.west + margin * cell, grid.north - margin * cell, cell, mask[inner, inner].astype(np.float64)
-    )
+    part = PlanMap(grid.west + margin * cell, grid.north - margin * cell, cell, mask[inner, inner].astype(np.float64))
     return Voids(tuple(sorted(voids, key=lambda void: -void.area)), least, cell), part
