@@ -14,7 +14,8 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_DRAWS = 400
+_DRAWS = 300
+_MAX_QUANTILES = 512
 _MIN_BLOCKS = 6  # fewer blocks do not show the variation between them
 _PERCENTILES = (2.5, 97.5)
 
@@ -32,27 +33,36 @@ class Estimate(NamedTuple):
         return math.isfinite(self.low) and math.isfinite(self.high)
 
 
-def median_estimate(values: FloatArray, blocks: IntArray, seed: int, share: float = 0.5) -> Estimate | None:
-    """Return the median, or another quantile, of values (N,) in blocks (N,); None without values."""
+def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
+    """Return the median of values (N,) in blocks (N,); None without values.
+
+    The ends of its interval are among at most 512 quantiles of the values.
+    """
     if not len(values):
         return None
-    order = np.argsort(values, kind="stable")
-    ordered, places = values[order], blocks[order]
+    order = np.argsort(values)
+    bins = min(len(values), _MAX_QUANTILES)
+    bin_of = np.arange(len(values)) * bins // len(values)
+    quantiles = values[order[((np.arange(bins) + 0.5) * len(values) / bins).astype(np.int64)]]
+    occupied, places = np.unique(blocks, return_inverse=True)
+    counts = np.bincount(places[order] * bins + bin_of, minlength=len(occupied) * bins).reshape(-1, bins)
 
-    def quantile(weights: FloatArray) -> float:
-        sums = np.cumsum(weights[places])
-        return float(ordered[min(int(np.searchsorted(sums, share * sums[-1])), len(ordered) - 1)])
+    def medians(weights: FloatArray) -> FloatArray:
+        sums = np.cumsum(weights @ counts, axis=1)
+        return np.asarray(quantiles[(sums < 0.5 * sums[:, -1:]).sum(axis=1)])
 
-    return _estimate(float(np.quantile(values, share)), blocks, quantile, seed)
+    return statistic_estimate(float(np.median(values)), len(occupied), medians, seed)
 
 
 def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
     """Return the mean of values (N,) in blocks (N,); None without values."""
     if not len(values):
         return None
-    size = int(blocks.max()) + 1
-    sums, counts = np.bincount(blocks, values, size), np.bincount(blocks, minlength=size)
-    return _estimate(float(values.mean()), blocks, lambda weights: float(weights @ sums / (weights @ counts)), seed)
+    occupied, places = np.unique(blocks, return_inverse=True)
+    sums, counts = np.bincount(places, values), np.bincount(places)
+    return statistic_estimate(
+        float(values.mean()), len(occupied), lambda weights: (weights @ sums) / (weights @ counts), seed
+    )
 
 
 def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
@@ -61,25 +71,18 @@ def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -
     return None if square is None else Estimate(*(math.sqrt(end) for end in square))
 
 
-def statistic_estimate(value: float, blocks: IntArray, statistic: Callable[[FloatArray], float], seed: int) -> Estimate:
-    """Return a value with the interval of a statistic of weighted values.
+def statistic_estimate(value: float, count: int, statistics: Callable[[FloatArray], FloatArray], seed: int) -> Estimate:
+    """Return a value with the interval of a statistic of weighted parts.
 
     Args:
         value: the value.
-        blocks: (N,) block of each of its values.
-        statistic: returns the statistic for the weights (B,) of the blocks.
+        count: number of independent parts.
+        statistics: returns the statistic for each draw (D,) of weights (D, count) of the parts.
         seed: seed of the draws.
     """
-    return _estimate(value, blocks, statistic, seed)
-
-
-def _estimate(value: float, blocks: IntArray, statistic: Callable[[FloatArray], float], seed: int) -> Estimate:
-    occupied = np.unique(blocks)
-    if len(occupied) < _MIN_BLOCKS:
+    if count < _MIN_BLOCKS:
         return Estimate(value)
     rng = np.random.default_rng(seed)
-    weights = np.zeros((_DRAWS, int(occupied[-1]) + 1))
-    weights[:, occupied] = rng.multinomial(len(occupied), np.full(len(occupied), 1 / len(occupied)), _DRAWS)
-    draws = [statistic(row) for row in weights]
+    draws = statistics(rng.multinomial(count, np.full(count, 1 / count), _DRAWS).astype(np.float64))
     low, high = np.percentile(draws, _PERCENTILES)
     return Estimate(value, min(float(low), value), max(float(high), value))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.quantisation import Quantisation
@@ -35,7 +36,7 @@ class CoordinateFaults(NamedTuple):
     float32_step: float
 
 
-def coordinate_faults(points: FloatArray) -> tuple[CoordinateFaults, FloatArray]:
+def coordinate_faults(points: FloatArray) -> tuple[CoordinateFaults, NDArray[np.bool_]]:
     """Return the faults of points (N, 3), and the mask (N,) of those that stand for missing data."""
     counts = CoordinateCounts.of(points)
     nodata = Nodata.of(counts)

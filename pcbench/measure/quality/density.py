@@ -12,16 +12,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, even_rows
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import Sampling
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, median_estimate, statistic_estimate
+from pcbench.measure.quality.bootstrap import Estimate, mean_estimate, median_estimate
 
 NEIGHBORS = 16
 """Neighbours from which the density at a point is estimated."""
 _SAMPLE = 20_000
+_BLOCKS_ALONG = 20  # blocks of cells along the longer side, for intervals
 POINTS_PER_CELL = 16.0
 """Mean number of points in a cell of the map."""
 MAX_MAP_CELLS = 600
@@ -84,7 +86,7 @@ class Density(NamedTuple):
 
 
 def measure_density(
-    index: Index, sampling: Sampling, is_first: np.ndarray | None, seed: int
+    index: Index, sampling: Sampling, is_first: NDArray[np.bool_] | None, seed: int
 ) -> tuple[Density | None, PlanMap | None]:
     """Return the density of a cloud and its map; None if the points cover no area.
 
@@ -160,7 +162,7 @@ def counted(points: FloatArray, low: FloatArray, high: FloatArray, cell: float) 
 def _plan_density(points: FloatArray, grid: PlanMap, seed: int) -> tuple[Estimate, float]:
     """Return the number of points (N, 3) per area of the cells of a grid that have points, and that area.
 
-    Cells at the border are covered in part. So the density is the median over the cells with eight occupied neighbours,
+    Cells at the border are covered in part. So the density is the mean over the cells with eight occupied neighbours,
     or of all occupied cells if there are few of those.
     """
     low = np.array([grid.west, grid.north - grid.values.shape[0] * grid.cell])
@@ -171,18 +173,15 @@ def _plan_density(points: FloatArray, grid: PlanMap, seed: int) -> tuple[Estimat
     chosen = inner if np.count_nonzero(inner) >= 0.2 * np.count_nonzero(occupied) else occupied
     values = counts[chosen]
     row, column = np.nonzero(chosen)
-    side = max(max(grid.values.shape) // 20, 1)
-    _, blocks = np.unique((row // side) * 100_000 + column // side, return_inverse=True)
-    size = int(blocks.max()) + 1
-    sums, numbers = np.bincount(blocks, values, size), np.bincount(blocks, minlength=size)
+    side = max(max(grid.values.shape) // _BLOCKS_ALONG, 1)
+    estimate = mean_estimate(values, (row // side) * (_BLOCKS_ALONG + 2) + column // side, seed)
+    assert estimate is not None
     area = float(np.count_nonzero(occupied)) * grid.cell**2
-    estimate = statistic_estimate(
-        float(values.mean()), blocks, lambda weights: float(weights @ sums / (weights @ numbers)), seed
-    )
     return Estimate(*(end / grid.cell**2 for end in estimate)), area
 
 
-def _inner(occupied: np.ndarray) -> np.ndarray:
+def _inner(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which occupied cells (H, W) are surrounded by occupied cells."""
     padded = np.pad(occupied, 1)
     rows, columns = occupied.shape
     inner = occupied.copy()

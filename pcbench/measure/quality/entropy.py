@@ -28,7 +28,7 @@ SAMPLE = 20_000
 """Points at which entropy is computed, at most; the mean over a random sample has an interval."""
 _CHUNK_ROWS = 2_000_000
 _MAX_MEAN_POINTS = 2_000.0
-_MIN_DETERMINANT = 1e-30  # over the cubed trace: below it, the points lie in a plane up to rounding
+_MIN_EIGENVALUE_SHARE = 1e-13  # smallest over largest eigenvalue: below it, the points lie in a plane up to rounding
 
 
 class MapEntropy(NamedTuple):
@@ -95,8 +95,7 @@ def _measures(groups: Groups, centres: FloatArray) -> tuple[FloatArray, FloatArr
     _, values, _ = groups.principal_axes(offsets, np.ones(len(offsets)))
     values *= (groups.counts / np.maximum(groups.counts - 1, 1))[:, None]
     values = np.maximum(values, 0)
-    determinants = values.prod(axis=1)
-    is_solid = determinants > _MIN_DETERMINANT * values.sum(axis=1) ** 3
-    logarithms = np.log(np.where(is_solid, determinants, 1.0))
+    is_solid = values[:, 0] > _MIN_EIGENVALUE_SHARE * values[:, 2]
+    logarithms = np.log(np.where(is_solid[:, None], values, 1.0)).sum(axis=1)
     entropies = np.where(is_solid, 0.5 * (3 * math.log(2 * math.pi * math.e) + logarithms), math.nan)
     return entropies, values[:, 0]

@@ -31,12 +31,19 @@ class Groups(NamedTuple):
     of_row: IntArray
 
     @classmethod
-    def of(cls, neighborhoods: Neighborhoods, points: FloatArray) -> Self:
-        """Return neighbourhoods as groups. A neighbourhood without points has the first point of the cloud."""
+    def of(cls, neighborhoods: Neighborhoods, points: FloatArray, kept: IntArray | None = None) -> Self:
+        """Return neighbourhoods as groups. A neighbourhood without points has the first point of the cloud.
+
+        Args:
+            neighborhoods: neighbourhoods among the searched points.
+            points: (N, 3) points of the cloud.
+            kept: (M,) rows of the searched points in the cloud; None: all were searched.
+        """
         counts, rows = neighborhoods.counts, neighborhoods.indices
         if not counts.all():
             rows = np.insert(rows, neighborhoods.offsets[:-1][counts == 0], 0)
             counts = np.maximum(counts, 1)
+        rows = rows if kept is None else kept[rows]
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
         return cls(points[rows], rows, starts, counts, np.repeat(np.arange(len(counts)), counts))
 

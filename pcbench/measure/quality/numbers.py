@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from pcbench.measure.quality.bootstrap import Estimate
@@ -108,12 +109,28 @@ def have_equal_density(first: dict[str, QualityNumber], second: dict[str, Qualit
 _Numbers = Iterator[tuple[str, QualityNumber]]
 
 
-def _number(label: str, estimate: Estimate | float | None, unit: str, **others: object) -> QualityNumber:
+def _number(
+    label: str,
+    estimate: Estimate | float | None,
+    unit: str,
+    definition: str,
+    *,
+    group: str,
+    source: str = "",
+    better: Better | None = None,
+    needs_equal_density: bool = False,
+    is_count: bool = False,
+) -> QualityNumber:
+    value = low = high = None
     if isinstance(estimate, Estimate):
-        ends = (estimate.low, estimate.high) if estimate.has_interval else (None, None)
-        return QualityNumber(label, estimate.value, *ends, unit, **others)  # type: ignore[arg-type]
-    value = None if estimate is None or not math.isfinite(estimate) else float(estimate)
-    return QualityNumber(label, value, None, None, unit, **others)  # type: ignore[arg-type]
+        value = estimate.value
+        if estimate.has_interval:
+            low, high = estimate.low, estimate.high
+    elif estimate is not None and math.isfinite(estimate):
+        value = float(estimate)
+    return QualityNumber(
+        label, value, low, high, unit, better, needs_equal_density, is_count, definition, source, group
+    )
 
 
 def _density_numbers(density: Density | None, length: str) -> _Numbers:
@@ -136,7 +153,8 @@ def _density_numbers(density: Density | None, length: str) -> _Numbers:
             density and density.surface,
             per_area,
             group=group,
-            definition=f"Median of (k - 1) / (π r_k²), r_k the distance to the k-th neighbour, k = {DENSITY_NEIGHBORS}.",
+            definition="Median of (k - 1) / (π r_k²), r_k the distance to the k-th neighbour,"
+            f" k = {DENSITY_NEIGHBORS}.",
         ),
     )
     yield (
@@ -452,38 +470,36 @@ def _upright_numbers(upright: Uprightness | None) -> _Numbers:
 def _fault_numbers(quality: CloudQuality, length: str) -> _Numbers:
     group, faults, outliers = "Points", quality.coordinates, quality.outliers
     share = f"Points whose {NEIGHBORS}th neighbour is {MAX_RATIO:g} times farther away than those of the points around."
-    exact = {"better": "lower", "is_count": True, "group": group}
+    exact = partial(_number, better="lower", is_count=True, group=group)
     yield "points", _number("points", faults.points, "", group=group, definition="Number of points.")
     yield (
         "outliers",
-        _number(
+        exact(
             "outliers",
-            outliers and outliers.count,
+            outliers and outliers.number,
             "",
-            **exact,
             definition=share,
             source="as the local outlier factor, Breunig et al. 2000",
         ),
     )
-    yield "outlier_share", _number("share of outliers", outliers and outliers.share, "", **exact, definition=share)
+    yield "outlier_share", exact("share of outliers", outliers and outliers.share, "", definition=share)
     yield (
         "copies",
-        _number("copies of points", faults.copies, "", **exact, definition="Points at the position of an earlier one."),
+        exact("copies of points", faults.copies, "", definition="Points at the position of an earlier one."),
     )
     yield (
         "missing_points",
-        _number(
+        exact(
             "missing data stored as points",
             faults.missing,
             "",
-            **exact,
             definition="Points with fill values such as -9999, 1e38 or (0, 0, 0), far from all others or repeated; they"
             " count in no other number.",
         ),
     )
     yield (
         "origin_points",
-        _number("points at (0, 0, 0)", faults.at_origin, "", **exact, definition="Points that are exactly (0, 0, 0)."),
+        exact("points at (0, 0, 0)", faults.at_origin, "", definition="Points that are exactly (0, 0, 0)."),
     )
     yield (
         "step",

@@ -1,9 +1,9 @@
 """Isolated points: those whose neighbours are much farther away than the neighbours of their neighbours.
 
-The statistical filter of Rusu et al. 2008 compares the distances with those of the whole cloud, so that it removes the
-far parts of a sweep, whose density falls with distance. Here, as in the local outlier factor (Breunig et al. 2000), they
-are compared with those around: a point is an outlier if the distance to its 8th neighbour is more than 4 times the
-median of that distance over its 8 neighbours. Groups of up to 7 points are found, too.
+The statistical filter of Rusu et al. 2008 compares the distances with those of the whole cloud, so that it removes
+the far parts of a sweep, whose density falls with distance. Here, as in the local outlier factor (Breunig et al.
+2000), they are compared with those around: a point is an outlier if the distance to its 8th neighbour is more than 4
+times the median of that distance over its 8 neighbours. Groups of up to 7 points are found, too.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Outliers(NamedTuple):
     """The isolated points of a cloud.
 
     Attributes:
-        count: their number.
+        number: how many there are.
         share: their share of all points.
     """
 
-    count: int
+    number: int
     share: float
 
 

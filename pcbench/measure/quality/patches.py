@@ -7,13 +7,13 @@ over the surface and not over the points.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, is_kept
 from pcbench.geometry.voxels import voxel_downsample
 from pcbench.measure.quality.groups import Groups
 
@@ -80,7 +80,7 @@ def choose_radius(index: Index, spacing: float, extent: float, min_neighbors: in
     If it always does, the radius is the one that it exceeds least; if few patches are flat, 8 spacings.
     """
     first, ratios = RADIUS_SPACINGS * spacing, dict[float, float]()
-    for radius in (first * 2**doubling for doubling in range(_DOUBLINGS + 1)):
+    for radius in [first * 2.0**doubling for doubling in range(_DOUBLINGS + 1)]:
         if radius > max(_MAX_EXTENT_SHARE * extent, first):
             break
         patches = fit_patches(index, seeds_of(index.points, radius, seed, _TRIAL_SEEDS), radius, min_neighbors, seed)
@@ -89,7 +89,7 @@ def choose_radius(index: Index, spacing: float, extent: float, min_neighbors: in
             continue
         ratios[radius] = float(np.median(patches.noise[flat])) / radius
         if ratios[radius] <= _MAX_NOISE_SHARE:
-            return radius
+            break
     return min(ratios, key=ratios.__getitem__, default=first)
 
 
@@ -102,8 +102,11 @@ def fit_patches(index: Index, seeds: FloatArray, radius: float, min_neighbors: i
         _fit(seeds[start : start + len(members.counts)], members, radius)
         for start, members in neighborhoods(index, seeds, radius, min_neighbors, seed)
     ]
-    fields = [np.concatenate(columns) for columns in zip(*(part[:-1] for part in parts), strict=True)]
-    return Patches(*fields, radius).select(fields[5] >= min_neighbors)
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in Patches._fields if name != "radius"
+    }
+    patches = Patches(**columns, radius=radius)
+    return patches.select(patches.counts >= min_neighbors)
 
 
 def neighborhoods(
@@ -114,11 +117,12 @@ def neighborhoods(
     A cloud with more than 90 points per patch is thinned at random to 60, so that a large radius costs no more.
     """
     share = thinning_share(index, seeds, radius, min_neighbors, seed)
-    searched = index if share == 1 else index.thinned(share, seed)
+    kept = np.flatnonzero(is_kept(np.arange(len(index)), share, seed)) if share < 1 else np.arange(len(index))
+    searched = index if share == 1 else Index(index.points[kept])
     mean = max(_mean_count(searched, seeds, radius, seed), 1.0)
     size = max(int(_CHUNK_ROWS / mean), 1)
     return [
-        (start, Groups.of(searched.query_radius(seeds[start : start + size], radius), searched.points))
+        (start, Groups.of(searched.query_radius(seeds[start : start + size], radius), index.points, kept))
         for start in range(0, len(seeds), size)
     ]
 
@@ -179,4 +183,5 @@ def _residuals(groups: Groups, local: FloatArray, weights: FloatArray) -> FloatA
     moments += (1e-9 * scale)[:, None, None] * np.eye(_TERMS)  # where the points lie on a line
     solved = np.linalg.solve(moments, right[:, :, None])[:, :, 0]
     fitted: FloatArray = np.einsum("ni,ni->n", terms, solved[groups.of_row])
-    return height - fitted
+    residuals: FloatArray = height - fitted
+    return residuals

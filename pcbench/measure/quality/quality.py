@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import Sampling, sampling_of
@@ -209,7 +208,7 @@ def _are_first(attributes: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_] | No
     if numbers is None:
         return None
     is_first: NDArray[np.bool_] = np.asarray(numbers == 1)
-    return is_first if 0.1 < is_first.mean() else None
+    return is_first if is_first.mean() > 0.1 else None
 
 
 def _surface_noise(patches: Patches, walls: DoubleWalls, seed: int) -> SurfaceNoise | None:

@@ -36,6 +36,7 @@ _MIN_D, _MAX_VALLEY = 4.5, 0.35
 _MIN_PART_SHARE, _MIN_PART_POINTS = 0.15, 6
 _MIN_STEPS = 3.0  # in which coordinates are rounded: rounding makes sheets one step apart
 _MIN_QUADRANTS = 3  # around the place, in which both sheets have points
+_MIN_BREADTH = 0.15  # second over first eigenvalue: points along a line have less
 _MAX_WIDTH_SHARE = 0.12  # standard deviation of a sheet over the radius
 _LINK_RADII, _MAX_LINK_ANGLE_DEG, _MAX_LINK_RATIO = 3.0, 15.0, 1.3
 _MIN_PLACES = 16  # of a double wall: a few places are frames, boards and other thin things
@@ -141,10 +142,7 @@ def _sheets_around(
     parts, tested = list[_Sheets](), list[FloatArray]()
     for start, groups in neighborhoods(index, seeds, radius, 2 * _MIN_PART_POINTS, seed):
         here = seeds[start : start + len(groups.counts)]
-        facing = None
-        if normals is not None and len(normals) == len(index):
-            facing = normals
-        is_double, axes, separations = _split(groups, here, radius, step, facing)
+        is_double, axes, separations = _split(groups, here, radius, step, normals)
         parts.append(
             _Sheets(here[is_double], axes[is_double], separations[is_double], np.full(is_double.sum(), radius))
         )
@@ -168,28 +166,23 @@ def _split(
     upper = _upper_part(groups, groups.along(offsets - means[groups.of_row], axes[:, :, 0]))
     # The normal follows from the points about the mean of their own sheet, and the split from the normal.
     centred = offsets - _part_means(groups, offsets, upper)
-    _, values, axes = groups.principal_axes(centred, ones)
+    _, variances_along, axes = groups.principal_axes(centred, ones)
     heights = groups.along(offsets - means[groups.of_row], axes[:, :, 0])
     upper = _upper_part(groups, heights)
-    counts = np.stack([groups.sums(1.0 - upper), groups.sums(1.0 * upper)])
-    sums = np.stack([groups.sums(heights * ~upper), groups.sums(heights * upper)])
-    squares = np.stack([groups.sums(heights**2 * ~upper), groups.sums(heights**2 * upper)])
+    is_in = [(~upper).astype(np.float64), upper.astype(np.float64)]
+    counts, sums, squares = (
+        np.stack([groups.sums(values * part) for part in is_in])
+        for values in (np.ones_like(heights), heights, heights**2)
+    )
     middles = sums / np.maximum(counts, 1)
     variances = np.maximum(squares / np.maximum(counts, 1) - middles**2, 0)
     separations = middles[1] - middles[0]
     width = np.sqrt(variances.mean(axis=0))
     position = (heights - middles[0][groups.of_row]) / np.maximum(separations, 1e-300)[groups.of_row]
-    between = groups.sums(1.0 * ((position > 1 / 3) & (position < 2 / 3))) * 3
-    within = groups.sums(1.0 * ((position >= 0) & (position <= 1)))
+    between = groups.sums(((position > 1 / 3) & (position < 2 / 3)).astype(np.float64)) * 3
+    within = groups.sums(((position >= 0) & (position <= 1)).astype(np.float64))
     sides = np.stack([groups.along(centred, axes[:, :, k]) >= 0 for k in (1, 2)])
-    quadrants = [
-        sum(
-            (groups.sums(1.0 * ((sides[0] == a) & (sides[1] == b) & part)) > 0).astype(int)
-            for a in (0, 1)
-            for b in (0, 1)
-        )
-        for part in (upper, ~upper)
-    ]
+    quadrants = [_quadrants(groups, sides[0], sides[1], part) for part in (upper, ~upper)]
     smaller = counts.min(axis=0)
     is_double = (
         (smaller >= np.maximum(_MIN_PART_SHARE * groups.counts, _MIN_PART_POINTS))
@@ -199,13 +192,22 @@ def _split(
         & (between < _MAX_VALLEY * within)
         & (np.minimum(*quadrants) >= _MIN_QUADRANTS)
         & (np.sqrt(variances.max(axis=0)) < _MAX_WIDTH_SHARE * radius)
-        & (values[:, 1] > 0.15 * values[:, 2])
+        & (variances_along[:, 1] > _MIN_BREADTH * variances_along[:, 2])
     )
     if normals is not None:
         facing = groups.along(normals[groups.rows], axes[:, :, 0])
-        sides_facing = [groups.sums(facing * part) / np.maximum(groups.sums(1.0 * part), 1) for part in (upper, ~upper)]
-        is_double &= ~((sides_facing[0] * sides_facing[1] < 0) & (np.abs(sides_facing).min(axis=0) > _MIN_FACING))
+        below, above = (groups.sums(facing * part) / np.maximum(groups.sums(part), 1) for part in is_in)
+        is_double &= ~((below * above < 0) & (np.minimum(np.abs(below), np.abs(above)) > _MIN_FACING))
     return is_double, axes[:, :, 0], separations
+
+
+def _quadrants(groups: Groups, right: NDArray[np.bool_], up: NDArray[np.bool_], part: NDArray[np.bool_]) -> IntArray:
+    """Return the number of quadrants (G,) of each group in which a part of its points lies."""
+    number = np.zeros(len(groups.counts), dtype=np.int64)
+    for is_right in (False, True):
+        for is_up in (False, True):
+            number += groups.sums(((right == is_right) & (up == is_up) & part).astype(np.float64)) > 0
+    return number
 
 
 def _upper_part(groups: Groups, heights: FloatArray) -> NDArray[np.bool_]:
@@ -233,7 +235,7 @@ def _part_means(groups: Groups, offsets: FloatArray, upper: NDArray[np.bool_]) -
     """Return for each point (N, 3) the mean of the part of its group to which it belongs."""
     means = np.empty_like(offsets)
     for part in (upper, ~upper):
-        counts = np.maximum(groups.sums(1.0 * part), 1)
+        counts = np.maximum(groups.sums(part.astype(np.float64)), 1)
         sums = np.stack([groups.sums(offsets[:, axis] * part) for axis in range(3)], axis=1)
         means[part] = (sums / counts[:, None])[groups.of_row[part]]
     return means
@@ -242,8 +244,7 @@ def _part_means(groups: Groups, offsets: FloatArray, upper: NDArray[np.bool_]) -
 def _walls(scales: list[_Sheets]) -> tuple[list[DoubleWall], list[tuple[_Sheets, NDArray[np.bool_]]]]:
     """Group places that agree, at each radius; a place near a wall of a smaller radius belongs to that one."""
     walls, members, nearer = list[DoubleWall](), list[tuple[_Sheets, NDArray[np.bool_]]](), list[_Sheets]()
-    for found in scales:
-        sheets = found
+    for sheets in scales:
         for other in nearer:
             if len(sheets.places):
                 is_new = Index(other.places).query(sheets.places).distances > 2 * sheets.radii

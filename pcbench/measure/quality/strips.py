@@ -1,9 +1,9 @@
 """Agreement of overlapping strips: the offset between the surfaces that two strips show of the same places.
 
 At places where two strips have enough points within a radius, the normal follows from the points about the mean of
-their own strip, and the offset is the difference of both means along it. So neither the slope of the surface nor another
-distribution of the points changes it. On surfaces of at most 30 degrees, the offset over the normal's z is dz, the
-vertical difference (the USGS Lidar Base Specification 2.1 calls its root mean square RMSDz, "interswath consistency").
+their own strip, and the offset is the difference of both means along it. So neither the slope of the surface nor
+another distribution of the points changes it. On surfaces of at most 30 degrees, the offset over the normal's z is the
+vertical difference dz; the USGS Lidar Base Specification 2.1 calls its root mean square RMSDz (interswath consistency).
 """
 
 from __future__ import annotations
@@ -214,20 +214,20 @@ def _offsets_at(
     is_known = strip >= 0
     cell = groups.of_row * count + np.maximum(strip, 0)
     size = len(seeds) * count
-    counts = np.bincount(cell, is_known, size)
-    means = np.stack([np.bincount(cell, offsets[:, k] * is_known, size) for k in range(3)], axis=1)
-    means /= np.maximum(counts, 1)[:, None]
+    counts = np.asarray(np.bincount(cell, is_known.astype(np.float64), size), dtype=np.float64)
+    sums = np.stack([np.bincount(cell, offsets[:, k] * is_known, size) for k in range(3)], axis=1)
+    means: FloatArray = sums / np.maximum(counts, 1)[:, None]
     _, values, axes = groups.principal_axes(offsets - means[cell], is_known.astype(float))
     normals = axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1.0, 1.0)
     breadth = np.sqrt(np.maximum(values[:, 1], 0))
     is_flat = (values[:, 1] > _MIN_BREADTH * values[:, 2]) & (
         np.sqrt(np.maximum(values[:, 0], 0)) < _MAX_FLATNESS * breadth
     )
-    counts, means = counts.reshape(-1, count), means.reshape(-1, count, 3)
+    numbers, centres = counts.reshape(-1, count), means.reshape(-1, count, 3)
     result = np.full((count * (count - 1) // 2, len(seeds)), math.nan)
     for pair, (first, second) in enumerate(combinations(range(count), 2)):
-        rows = np.flatnonzero(is_flat & (counts[:, [first, second]].min(axis=1) >= _MIN_POINTS))
-        between = means[rows, second] - means[rows, first]
+        rows = np.flatnonzero(is_flat & (numbers[:, [first, second]].min(axis=1) >= _MIN_POINTS))
+        between = centres[rows, second] - centres[rows, first]
         along = np.einsum("ni,ni->n", between, normals[rows])
         across = np.linalg.norm(between - along[:, None] * normals[rows], axis=1)
         close = across <= _MAX_LATERAL_SHARE * radius

@@ -56,14 +56,19 @@ def wall_tilt(patches: Patches, seed: int) -> Uprightness:
     spread = np.linalg.eigvalsh((normals[:, :2] * weights[:, None]).T @ normals[:, :2]) / weights.sum()
     if spread[0] < _MIN_SECOND_SHARE:
         return Uprightness(len(normals), None, None, None, "all walls are parallel")
-    rotation = _rotation(normals, weights)
-
-    def tilt(counts: FloatArray) -> float:
-        drawn = _rotation(normals, weights * counts)
-        return float(np.degrees(drawn @ rotation / max(float(np.linalg.norm(rotation)), 1e-300)))
-
+    design = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
+    rotation, robust = _rotation(design, normals[:, 2], weights)
     value = math.degrees(float(np.linalg.norm(rotation)))
-    estimate = statistic_estimate(value, np.arange(len(normals)), tilt, seed)
+
+    def tilts(counts: FloatArray) -> FloatArray:
+        """Return the tilt of each draw (D,) of walls along the rotation of all; their robust weights are kept."""
+        drawn = counts * weights * robust
+        left = np.einsum("dw,wi,wj->dij", drawn, design, design, optimize=True) + 1e-9 * np.eye(2)
+        right = np.einsum("dw,wi,w->di", drawn, design, normals[:, 2], optimize=True)
+        solved = np.linalg.solve(left, right[:, :, None])[:, :, 0]
+        return np.asarray(np.degrees(solved @ rotation / max(float(np.linalg.norm(rotation)), 1e-300)))
+
+    estimate = statistic_estimate(value, len(normals), tilts, seed)
     own = np.degrees(np.arcsin(np.clip(np.abs(normals[:, 2]), 0, 1)))
     # A rotation about w moves the top of the z axis by w x z = (w_y, -w_x).
     azimuth = math.degrees(math.atan2(rotation[1], -rotation[0])) % 360
@@ -76,17 +81,23 @@ def wall_tilt(patches: Patches, seed: int) -> Uprightness:
     )
 
 
-def _rotation(normals: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the rotation about x and y (2,), in radians, of walls with normals (W, 3) and weights (W,)."""
-    design = np.stack([normals[:, 1], -normals[:, 0]], axis=1)
-    robust, solution = np.ones(len(normals)), np.zeros(2)
+def _rotation(design: FloatArray, upward: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotation about x and y (2,), in radians, and the robust weights (W,) of walls.
+
+    Args:
+        design: (W, 2) change of the z of each normal per radian about x and y.
+        upward: (W,) z of the normals.
+        weights: (W,) weights of the walls.
+    """
+    robust: FloatArray = np.ones(len(upward))
+    solution: FloatArray = np.zeros(2)
     for _ in range(_ROUNDS):
-        factor = (weights * robust)[:, None]
-        solution = np.linalg.lstsq((design * factor).T @ design, (design * factor).T @ normals[:, 2], rcond=None)[0]
-        residuals = np.abs(normals[:, 2] - design @ solution)
-        limit = _HUBER * 1.4826 * float(np.median(residuals))
-        robust = np.where(residuals > limit, limit / np.maximum(residuals, 1e-300), 1.0) if limit > 0 else robust
-    return solution
+        weighted = design * (weights * robust)[:, None]
+        solution = np.asarray(np.linalg.lstsq(weighted.T @ design, weighted.T @ upward, rcond=None)[0])
+        residuals = np.abs(upward - design @ solution)
+        limit = max(_HUBER * 1.4826 * float(np.median(residuals)), 1e-12)
+        robust = np.minimum(limit / np.maximum(residuals, 1e-300), 1.0)  # weights of Huber 1964
+    return solution, robust
 
 
 def _walls(patches: Patches) -> tuple[FloatArray, FloatArray]:

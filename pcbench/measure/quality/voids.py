@@ -1,7 +1,8 @@
-"""Voids: areas without returns, after the USGS Lidar Base Specification 2.1 (collection requirements, "data voids").
+"""Voids: areas without returns, after the USGS Lidar Base Specification 2.1 (collection requirements, data voids).
 
-A void there is an area without first returns of at least (4 x ANPS)^2. Here it is the union of all discs of that area,
-(4 x ANPS)^2, without a point: points strewn at random leave such a disc empty once in exp(16) places. Voids that reach
+A void there is an area without first returns of at least (4 x ANPS)^2. Here it is the union of all discs of that area
+without a point: points strewn at random leave such a disc empty once in exp(16) places. Such discs reach beyond the
+edge of a gap to the points around it, so in the union their radius is a third of a spacing smaller. Voids that reach
 the border of the cloud are not counted, because they may lie outside of the survey. The specification allows voids at
 water, at dark surfaces, and where another swath fills them; whether a void lies at water is known from points of class
 9 around it. Breaklines and polygons are not used.
@@ -23,8 +24,12 @@ VOID_SPACINGS = 4.0
 WATER_CLASS = 9
 """Class of water in LAS files."""
 _MAX_CELLS = 16_000_000
+AT_WATER = 2.0
+"""Value of voids at water in the map."""
+_RIM_CELLS = 3  # around a void, in which water is looked for
 _MIN_WATER_SHARE = 0.5  # of the points around a void, for it to be at water
 _CELLS_PER_SPACING = 2.0
+_EDGE_SPACINGS = 1 / 3  # from the edge of a gap to the points around it, on average
 
 
 class Void(NamedTuple):
@@ -68,14 +73,14 @@ class Voids(NamedTuple):
 
 
 def find_voids(pulses: FloatArray, spacing: float, is_water: NDArray[np.bool_] | None) -> tuple[Voids, PlanMap]:
-    """Return the voids of a cloud that is seen from above, and their map: 1 in voids, else 0.
+    """Return the voids of a cloud that is seen from above, and their map: 1 in voids, 2 in those at water, else 0.
 
     Args:
         pulses: (N, 3) first returns, or all points if returns are not known.
         spacing: their spacing (ANPS).
         is_water: (N,) whether points are classified as water; None: not known.
     """
-    from scipy.ndimage import binary_dilation, center_of_mass, distance_transform_edt, find_objects, label
+    from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
 
     low, high = pulses[:, :2].min(axis=0), pulses[:, :2].max(axis=0)
     least = (VOID_SPACINGS * spacing) ** 2
@@ -86,32 +91,26 @@ def find_voids(pulses: FloatArray, spacing: float, is_water: NDArray[np.bool_] |
     empty = grid.values == 0
     # Distances are between centres of cells; a point lies off its centre by 0.38 cells on average.
     centres = distance_transform_edt(empty) * cell > reach
-    reached = distance_transform_edt(~centres) * cell <= reach
-    area = reached & empty
+    shown = reach - _EDGE_SPACINGS * spacing
+    area = empty & (distance_transform_edt(~centres) * cell <= shown)
     labels, count = label(area)
-    outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    inside = np.setdiff1d(np.arange(1, count + 1), outside)
-    inside = inside[sizes[inside] * cell**2 >= least]
-    mask = np.isin(labels, inside)
-    voids = []
-    water = (
-        None
-        if is_water is None or not is_water.any()
-        else counted(pulses[is_water], low - margin * cell, high + margin * cell, cell)
-    )
-    boxes = find_objects(labels)
-    for number, (row, column) in zip(
-        inside.tolist(), center_of_mass(mask, labels, inside) if len(inside) else [], strict=True
-    ):
+    outside = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    numbers = np.setdiff1d(np.arange(1, count + 1), outside)
+    water = None
+    if is_water is not None and is_water.any():
+        water = counted(pulses[is_water], low - margin * cell, high + margin * cell, cell).values
+    boxes, voids, shown_voids = find_objects(labels), list[Void](), np.zeros(labels.shape)
+    for number in numbers.tolist():
+        box = tuple(slice(max(side.start - _RIM_CELLS, 0), side.stop + _RIM_CELLS) for side in boxes[number - 1])
+        mask = labels[box] == number
         is_at_water = False
         if water is not None:
-            rows, columns = (slice(max(side.start - 3, 0), side.stop + 3) for side in boxes[number - 1])
-            around = binary_dilation(labels[rows, columns] == number, iterations=3)
-            points = grid.values[rows, columns][around].sum()
-            is_at_water = bool(water.values[rows, columns][around].sum() >= _MIN_WATER_SHARE * max(points, 1))
+            rim = binary_dilation(mask, iterations=_RIM_CELLS)
+            is_at_water = bool(water[box][rim].sum() >= _MIN_WATER_SHARE * max(grid.values[box][rim].sum(), 1))
+        row, column = np.argwhere(mask).mean(axis=0) + [box[0].start, box[1].start]
         x, y = grid.west + (column + 0.5) * cell, grid.north - (row + 0.5) * cell
-        voids.append(Void(float(x), float(y), float(sizes[number]) * cell**2, is_at_water))
+        voids.append(Void(float(x), float(y), float(np.count_nonzero(mask)) * cell**2, is_at_water))
+        shown_voids[box][mask] = AT_WATER if is_at_water else 1.0
     inner = slice(margin, -margin)
-    part = PlanMap(grid.west + margin * cell, grid.north - margin * cell, cell, mask[inner, inner].astype(np.float64))
-    return Voids(tuple(sorted(voids, key=lambda void: -void.area)), least, cell), part
+    plan = PlanMap(grid.west + margin * cell, grid.north - margin * cell, cell, shown_voids[inner, inner])
+    return Voids(tuple(sorted(voids, key=lambda void: -void.area)), least, cell), plan

@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.extras import require
 from pcbench.measure.quality.density import PlanMap
 from pcbench.measure.quality.quality import QualityMaps
-from pcbench.report.colors import VERMILION
+from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import drawing_style
@@ -64,7 +64,7 @@ def _charts(folder: Path, look: Figures, study: QualityStudy) -> Iterator[tuple[
             if plan is not None:
                 yield f"{kind}_{cloud.name}", _map(plan, cloud, kind, (low, high), dark)
     for cloud, plans_of in zip(study.clouds, maps, strict=True):
-        if cloud.voids and plans_of.voids is not None:
+        if (cloud.voids or cloud.water_voids) and plans_of.voids is not None:
             yield f"voids_{cloud.name}", _void_map(plans_of, cloud, dark)
 
 
@@ -113,8 +113,9 @@ def _void_map(maps: QualityMaps, cloud: MeasuredCloud, dark: str) -> Any:
             ground, cmap="Greys", vmin=0, vmax=1.6 * high, extent=(west, east, south, north), interpolation="nearest"
         )
     west, east, south, north = plan.extent
-    shown = np.where(plan.values > 0, 1.0, np.nan)
-    axis.imshow(shown, cmap=ListedColormap([VERMILION]), extent=(west, east, south, north), interpolation="nearest")
+    shown = np.where(plan.values > 0, plan.values, np.nan)
+    colors = ListedColormap([VERMILION, BLUE])
+    axis.imshow(shown, cmap=colors, vmin=0.5, vmax=2.5, extent=(west, east, south, north), interpolation="nearest")
     for number, void in enumerate(cloud.voids[:_MAX_NUMBERED], 1):
         axis.annotate(
             str(number), (void.x, void.y), xytext=(6, 5), textcoords="offset points", fontsize=8.5, color=dark

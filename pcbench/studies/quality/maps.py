@@ -19,7 +19,7 @@ KINDS = ("density", "thickness", "voids")
 _TEXTS = {
     "density": ("Points per squared unit of the cell.", "1/{unit}²"),
     "thickness": ("Mean thickness of flat patches in the cell: the width that holds 90 % of their points.", "{unit}"),
-    "voids": ("1 in areas without returns, else 0.", "1"),
+    "voids": ("1 in areas without returns, 2 in those at water, else 0.", "1"),
 }
 
 
@@ -45,7 +45,9 @@ def write_maps(folder: Path, clouds: Sequence[MeasuredCloud], maps: Sequence[Qua
             arrays[f"{kind}_place"] = np.array([plan.west, plan.north, plan.cell])
             if is_projected_crs(cloud.crs):
                 definition, unit = _TEXTS[kind]
-                text = BandText(definition, unit.format(unit=cloud.unit or "unit"))
+                text = BandText(
+                    definition, unit.format(unit=cloud.unit or "unit"), "max" if kind == "voids" else "mean"
+                )
                 raster = Raster({kind: plan.values}, plan.west, plan.north, plan.cell, cloud.crs, {kind: text})
                 write_geotiff(folder / geotiff_name(cloud.name, kind), raster)
         with atomic_write(folder / f"{cloud.name}.npz") as file:
@@ -59,7 +61,7 @@ def read_maps(folder: Path, name: str) -> QualityMaps:
         OSError: the file cannot be read.
     """
     with np.load(folder / f"{name}.npz", allow_pickle=False) as arrays:
-        plans = []
+        plans: list[PlanMap | None] = []
         for kind in KINDS:
             if kind not in arrays:
                 plans.append(None)

@@ -16,7 +16,7 @@ from pcbench.studies.quality.table import MOST_ROWS, definition_rows, number_row
 _CAPTIONS = {
     "density": "Density in plan view; the colours range from the 2nd to the 98th percentile",
     "thickness": "Mean thickness of flat patches: the width along the normal that holds 90 % of their points",
-    "voids": "Voids (orange), numbered by area, on the density (grey)",
+    "voids": "Voids (orange, numbered by area) and voids at water (blue) on the density (grey)",
 }
 _LIMITS = (
     "Without a reference, a cloud cannot show errors that are the same everywhere, such as a wrong scale, or drift"

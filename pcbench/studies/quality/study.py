@@ -135,7 +135,8 @@ def _read(source: Source, memory: int, step: Callable[[str], None]) -> tuple[Clo
     if needed > memory:
         raise InputError(
             f"{source.path}: expected a cloud that fits into --memory, got {disk.count:,} points, which need"
-            f" {needed / (1 << 30):.1f} GiB: crop it with pcbench crop, keep some classes or returns, or give more memory"
+            f" {needed / (1 << 30):.1f} GiB: crop it with pcbench crop,"
+            " keep some classes or returns, or give more memory"
         )
     step(f"reading {source.path}")
     warnings: list[str] = []

@@ -17,7 +17,7 @@ MOST_ROWS = 20
 
 
 def number_rows(study: QualityStudy) -> list[list[str | TableCell]]:
-    """Return all numbers with a header, a title for each group, and a column for each cloud; the better one is marked."""
+    """Return all numbers: a header, a title for each group, and a column for each cloud; the better one is marked."""
     rows: list[list[str | TableCell]] = [["", *(cloud.name for cloud in study.clouds)]]
     items = study.measured.numbers.items()
     for group, numbers in groupby(items, key=lambda item: item[1].group):

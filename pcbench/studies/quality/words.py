@@ -94,8 +94,8 @@ def _double_walls(measured: MeasuredCloud) -> Iterator[str]:
     area = measured.numbers["double_wall_area"]
     walls = pluralize(int(count), "surface")
     yield (
-        f"{walls} {'appears' if count == 1 else 'appear'} twice, as sheets {value_text(separation)} apart (double walls,"
-        f" {value_text(area)} in all): drift, scans that do not fit, or thin things seen from both sides."
+        f"{walls} {'appears' if count == 1 else 'appear'} twice, as sheets {value_text(separation)} apart"
+        f" (double walls, {value_text(area)} in all): drift, scans that do not fit, or thin walls seen from both sides."
     )
 
 
@@ -111,8 +111,8 @@ def _strips(measured: MeasuredCloud) -> Iterator[str]:
     rms = length(worst.rms_dz.value, measured.unit)
     if is_offset:
         yield (
-            f"Strips {worst.first} and {worst.second} ({measured.strip_field}) differ by {offset} in height, RMSDz {rms};"
-            f" it is the largest difference of {pairs}."
+            f"Strips {worst.first} and {worst.second} ({measured.strip_field}) differ by {offset} in height, RMSDz"
+            f" {rms}; it is the largest difference of {pairs}."
         )
     else:
         yield (
