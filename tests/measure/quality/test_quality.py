@@ -148,7 +148,8 @@ def test_the_tilt_of_a_building_is_recovered(tilt):
     upright = wall_tilt(fit_patches(Index(points), seeds_of(points, 0.5, 0), 0.5, 12, 0), 0)
     assert upright.walls >= 6
     assert upright.tilt_deg.value == pytest.approx(tilt, abs=max(TEN_PERCENT * tilt, 0.1))
-    assert upright.tilt_deg.low <= tilt <= upright.tilt_deg.high + 0.1
+    # A length of a vector is never 0: with 7 walls, the noise of 6 mm over 3 m alone makes some hundredths of a degree.
+    assert upright.tilt_deg.low - 0.03 <= tilt <= upright.tilt_deg.high + 0.03
     if tilt:  # turned about x, the tops lean to -y
         assert upright.azimuth_deg == pytest.approx(180, abs=5)
 
