@@ -182,10 +182,11 @@ def _density_numbers(density: Density | None, length: str) -> _Numbers:
         "pulse_density",
         _number(
             "pulse density (ANPD)",
-            density and density.pulse,
+            density.pulse if density is not None and density.is_seen_from_above else None,
             per_area,
             group=group,
-            definition="First returns per area of the same cells; none without return numbers.",
+            definition="First returns per area of the same cells; none without return numbers. Only of clouds that are seen from"
+            " above.",
             source=_USGS,
         ),
     )
@@ -193,10 +194,10 @@ def _density_numbers(density: Density | None, length: str) -> _Numbers:
         "pulse_spacing",
         _number(
             "pulse spacing (ANPS)",
-            density and density.pulse_spacing,
+            density.pulse_spacing if density is not None and density.is_seen_from_above else None,
             length,
             group=group,
-            definition="1 / √(pulse density), or of all points without return numbers.",
+            definition="1 / √(pulse density), or of all points without return numbers. Only of clouds that are seen from above.",
             source=_USGS,
         ),
     )

@@ -38,7 +38,7 @@ from pcbench.studies.quality.results import CSV, KIND, MAPS, MeasuredCloud, Qual
 from pcbench.studies.quality.table import numbers_csv
 from pcbench.studies.quality.words import answer, comparison
 
-_BYTES_PER_POINT = 320
+_BYTES_PER_POINT = 260
 """Peak memory for each point with the attributes of a LAS file, in bytes; measured with 10 million points."""
 _BASE_BYTES = 400 << 20
 _MOST_LISTED = 100

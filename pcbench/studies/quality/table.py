@@ -8,9 +8,9 @@ from itertools import groupby
 from pcbench.measure.quality.bootstrap import Estimate
 from pcbench.report.article import TableCell
 from pcbench.report.markup import csv_text
-from pcbench.report.words import UNKNOWN, interval_text, length_number, percentage
+from pcbench.report.words import UNKNOWN, length_number, percentage
 from pcbench.studies.quality.results import MeasuredCloud, QualityStudy
-from pcbench.studies.quality.words import value_text
+from pcbench.studies.quality.words import interval_text, value_text
 
 MOST_ROWS = 20
 """Rows of the tables of double walls, voids and strips."""
@@ -122,4 +122,4 @@ def _estimate(value: Estimate | None) -> str:
     if value is None:
         return UNKNOWN
     text = length_number(value.value)
-    return f"{text} {interval_text((value.low, value.high))}" if value.has_interval else text
+    return f"{text} {interval_text(value.low, value.high)}" if value.has_interval else text

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Mapping
 
 from pcbench.measure.quality.numbers import QualityNumber, have_equal_density
 from pcbench.measure.wording import pluralize, with_unit
-from pcbench.report.words import interval_text, join_words, length, length_number, percentage
+from pcbench.report.words import join_words, length, length_number, percentage
 from pcbench.studies.quality.results import MeasuredCloud
 
-_MAX_SEPARATION_TEXT = "double_walls"
 _MIN_FILLED_SHARE = 0.9  # of the specification
 _MIN_OUTLIER_SHARE = 1e-4  # below which outliers are not in the answer
 _MIN_TILT_DEG = 0.1
@@ -59,8 +58,13 @@ def value_text(number: QualityNumber) -> str:
         return f"{int(number.value):,}"
     text = f"{int(number.value):,}" if number.label in ("points", "walls") else length_number(number.value)
     if number.low is not None and number.high is not None:
-        text += f" {interval_text((number.low, number.high))}"
+        text += f" {interval_text(number.low, number.high)}"
     return with_unit(text, number.unit)
+
+
+def interval_text(low: float, high: float) -> str:
+    """Return the ends of an interval in brackets, as lengths are written."""
+    return f"[{length_number(low)}, {length_number(high)}]"
 
 
 def _difference(name: str, numbers: Mapping[str, QualityNumber], others: Mapping[str, QualityNumber]) -> str:
@@ -106,13 +110,14 @@ def _strips(measured: MeasuredCloud) -> Iterator[str]:
             yield f"Overlapping strips agree to {value_text(measured.numbers['strip_rms'])} along the normals (RMS)."
         return
     is_offset = worst.dz.low > 0 or worst.dz.high < 0
-    offset = f"{length(worst.dz.value, measured.unit)} {interval_text((worst.dz.low, worst.dz.high))}"
+    offset = f"{length_number(worst.dz.value)} {interval_text(worst.dz.low, worst.dz.high)}"
+    offset = with_unit(offset, measured.unit)
     pairs = pluralize(len(measured.strips), "overlapping pair")
     rms = length(worst.rms_dz.value, measured.unit)
     if is_offset:
         yield (
             f"Strips {worst.first} and {worst.second} ({measured.strip_field}) differ by {offset} in height, RMSDz"
-            f" {rms}; it is the largest difference of {pairs}."
+            f" {rms}{'' if len(measured.strips) == 1 else f'; it is the largest difference of {pairs}'}."
         )
     else:
         yield (
