@@ -137,10 +137,9 @@ def _voids(measured: MeasuredCloud) -> Iterator[str]:
     else:
         area, largest = measured.value("void_area") or 0.0, measured.value("largest_void") or 0.0
         size = f"{length_number(area)} {measured.unit or 'units'}²"
-        yield (
-            f"{pluralize(int(count), 'void')} without returns, {size} in all, the largest"
-            f" {length_number(largest)} {measured.unit or 'units'}²{water}."
-        )
+        if count > 1:
+            size += f" in all, the largest {length_number(largest)} {measured.unit or 'units'}²"
+        yield f"{pluralize(int(count), 'void')} without returns, {size}{water}."
     if filled is not None and filled < _MIN_FILLED_SHARE:
         yield (
             f"Only {percentage(filled)} of the cells of twice the pulse spacing have a pulse; the USGS Lidar Base"
