@@ -20,7 +20,7 @@ _MIN_BLOCKS = 6  # fewer blocks do not show the variation between them
 _PERCENTILES = (2.5, 97.5)
 
 
-class Estimate(NamedTuple):
+class BlockEstimate(NamedTuple):
     """A value with its 95 % interval; the ends are NaN if there are too few independent parts for one."""
 
     value: float
@@ -33,7 +33,7 @@ class Estimate(NamedTuple):
         return math.isfinite(self.low) and math.isfinite(self.high)
 
 
-def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
+def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
     """Return the median of values (N,) in blocks (N,); None without values.
 
     The ends of its interval are among at most 512 quantiles of the values.
@@ -54,7 +54,7 @@ def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate
     return statistic_estimate(float(np.median(values)), len(occupied), medians, seed)
 
 
-def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
+def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
     """Return the mean of values (N,) in blocks (N,); None without values."""
     if not len(values):
         return None
@@ -65,13 +65,15 @@ def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate |
     )
 
 
-def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -> Estimate | None:
+def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
     """Return the root mean square of values (N,) in blocks (N,); None without values."""
     square = mean_estimate(values**2, blocks, seed)
-    return None if square is None else Estimate(*(math.sqrt(end) for end in square))
+    return None if square is None else BlockEstimate(*(math.sqrt(end) for end in square))
 
 
-def statistic_estimate(value: float, count: int, statistics: Callable[[FloatArray], FloatArray], seed: int) -> Estimate:
+def statistic_estimate(
+    value: float, count: int, statistics: Callable[[FloatArray], FloatArray], seed: int
+) -> BlockEstimate:
     """Return a value with the interval of a statistic of weighted parts.
 
     Args:
@@ -81,8 +83,8 @@ def statistic_estimate(value: float, count: int, statistics: Callable[[FloatArra
         seed: seed of the draws.
     """
     if count < _MIN_BLOCKS:
-        return Estimate(value)
+        return BlockEstimate(value)
     rng = np.random.default_rng(seed)
     draws = statistics(rng.multinomial(count, np.full(count, 1 / count), _DRAWS).astype(np.float64))
     low, high = np.percentile(draws, _PERCENTILES)
-    return Estimate(value, min(float(low), value), max(float(high), value))
+    return BlockEstimate(value, min(float(low), value), max(float(high), value))

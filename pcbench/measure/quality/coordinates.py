@@ -1,4 +1,4 @@
-"""Points that are no measurements of their own, and the steps in which coordinates are stored."""
+"""Points that are copies or stand for missing data, and the steps in which coordinates are stored."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MIX = (1.0, 0.7548776662466927, 0.5698402909980532)  # points that differ rarel
 
 
 class CoordinateFaults(NamedTuple):
-    """Points that are no measurements of their own, and rounding.
+    """Points that are copies or stand for missing data, and rounding.
 
     Attributes:
         points: number of points of the cloud.

@@ -18,7 +18,7 @@ from pcbench.geometry.arrays import FloatArray, even_rows
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import Sampling
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, mean_estimate, median_estimate
+from pcbench.measure.quality.bootstrap import BlockEstimate, mean_estimate, median_estimate
 
 NEIGHBORS = 16
 """Neighbours from which the density at a point is estimated."""
@@ -55,7 +55,7 @@ class PlanMap(NamedTuple):
         return self.west, self.west + columns * self.cell, self.north - rows * self.cell, self.north
 
 
-class Density(NamedTuple):
+class CloudDensity(NamedTuple):
     """The density of a cloud.
 
     Attributes:
@@ -72,12 +72,12 @@ class Density(NamedTuple):
         why_not: why it is not; empty if it is.
     """
 
-    spacing: Estimate
+    spacing: BlockEstimate
     definition: str
-    surface: Estimate
+    surface: BlockEstimate
     surface_ratio: float
-    plan: Estimate
-    pulse: Estimate | None
+    plan: BlockEstimate
+    pulse: BlockEstimate | None
     pulse_spacing: float
     plan_area: float
     filled_share: float | None
@@ -87,7 +87,7 @@ class Density(NamedTuple):
 
 def measure_density(
     index: Index, sampling: Sampling, is_first: NDArray[np.bool_] | None, seed: int
-) -> tuple[Density | None, PlanMap | None]:
+) -> tuple[CloudDensity | None, PlanMap | None]:
     """Return the density of a cloud and its map; None if the points cover no area.
 
     Args:
@@ -122,8 +122,8 @@ def measure_density(
         pulse, _ = _plan_density(pulses, grid, seed)
     pulse_spacing = 1 / math.sqrt((pulse or plan).value)
     why_not = _why_not_above(points, grid)
-    density = Density(
-        spacing=Estimate(sampling.spacing, spread.low * scale, spread.high * scale),
+    density = CloudDensity(
+        spacing=BlockEstimate(sampling.spacing, spread.low * scale, spread.high * scale),
         definition=sampling.definition,
         surface=surface,
         surface_ratio=float(high / low),
@@ -159,7 +159,7 @@ def counted(points: FloatArray, low: FloatArray, high: FloatArray, cell: float) 
     return PlanMap(float(low[0]), float(low[1]) + rows * cell, cell, counts)
 
 
-def _plan_density(points: FloatArray, grid: PlanMap, seed: int) -> tuple[Estimate, float]:
+def _plan_density(points: FloatArray, grid: PlanMap, seed: int) -> tuple[BlockEstimate, float]:
     """Return the number of points (N, 3) per area of the cells of a grid that have points, and that area.
 
     Cells at the border are covered in part. So the density is the mean over the cells with eight occupied neighbours,
@@ -177,7 +177,7 @@ def _plan_density(points: FloatArray, grid: PlanMap, seed: int) -> tuple[Estimat
     estimate = mean_estimate(values, (row // side) * (_BLOCKS_ALONG + 2) + column // side, seed)
     assert estimate is not None
     area = float(np.count_nonzero(occupied)) * grid.cell**2
-    return Estimate(*(end / grid.cell**2 for end in estimate)), area
+    return BlockEstimate(*(end / grid.cell**2 for end in estimate)), area
 
 
 def _inner(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -21,8 +21,8 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, mean_estimate
-from pcbench.measure.quality.groups import Groups
+from pcbench.measure.quality.bootstrap import BlockEstimate, mean_estimate
+from pcbench.measure.quality.groups import PointGroups
 
 SAMPLE = 20_000
 """Points at which entropy is computed, at most; the mean over a random sample has an interval."""
@@ -44,8 +44,8 @@ class MapEntropy(NamedTuple):
         sample: number of points at which it was computed.
     """
 
-    entropy: Estimate
-    plane_variance: Estimate
+    entropy: BlockEstimate
+    plane_variance: BlockEstimate
     radius: float
     min_neighbors: int
     mean_neighbors: float
@@ -75,7 +75,7 @@ def map_entropy(index: Index, radius: float, min_neighbors: int, seed: int, samp
     for start in range(0, len(rows), step):
         part = slice(start, start + step)
         centres = points[rows[part]]
-        groups = Groups.of(index.query_radius(centres, radius), points)
+        groups = PointGroups.of(index.query_radius(centres, radius), points)
         entropies[part], variances[part] = _measures(groups, centres)
         numbers[part] = groups.counts
     used = (numbers >= min_neighbors) & np.isfinite(entropies)
@@ -89,7 +89,7 @@ def map_entropy(index: Index, radius: float, min_neighbors: int, seed: int, samp
     )
 
 
-def _measures(groups: Groups, centres: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _measures(groups: PointGroups, centres: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the entropy (G,), NaN where the points lie in a plane, and the smallest eigenvalue (G,) of each group."""
     offsets = groups.values - centres[groups.of_row]
     _, values, _ = groups.principal_axes(offsets, np.ones(len(offsets)))

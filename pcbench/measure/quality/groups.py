@@ -13,7 +13,7 @@ from pcbench.geometry.neighbors import Neighborhoods
 _SIGMAS_PER_MAD = 1.4826  # of a normal distribution
 
 
-class Groups(NamedTuple):
+class PointGroups(NamedTuple):
     """The points of groups, one group after the other; each group has at least one.
 
     Attributes:

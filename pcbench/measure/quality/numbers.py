@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from pcbench.measure.quality.bootstrap import Estimate
+from pcbench.measure.quality.bootstrap import BlockEstimate
 from pcbench.measure.quality.density import NEIGHBORS as DENSITY_NEIGHBORS
-from pcbench.measure.quality.density import Density
+from pcbench.measure.quality.density import CloudDensity
 from pcbench.measure.quality.entropy import MapEntropy
 from pcbench.measure.quality.outliers import MAX_RATIO, NEIGHBORS
 from pcbench.measure.quality.quality import CloudQuality, SurfaceNoise
@@ -110,8 +110,9 @@ _Numbers = Iterator[tuple[str, QualityNumber]]
 
 
 def _number(
+    name: str,
     label: str,
-    estimate: Estimate | float | None,
+    estimate: BlockEstimate | float | None,
     unit: str,
     definition: str,
     *,
@@ -120,408 +121,319 @@ def _number(
     better: Better | None = None,
     needs_equal_density: bool = False,
     is_count: bool = False,
-) -> QualityNumber:
+) -> tuple[str, QualityNumber]:
+    """Return the name and a number, with its interval if it is an estimate."""
     value = low = high = None
-    if isinstance(estimate, Estimate):
+    if isinstance(estimate, BlockEstimate):
         value = estimate.value
         if estimate.has_interval:
             low, high = estimate.low, estimate.high
     elif estimate is not None and math.isfinite(estimate):
         value = float(estimate)
-    return QualityNumber(
+    return name, QualityNumber(
         label, value, low, high, unit, better, needs_equal_density, is_count, definition, source, group
     )
 
 
-def _density_numbers(density: Density | None, length: str) -> _Numbers:
-    group = "Sampling"
+def _density_numbers(density: CloudDensity | None, length: str) -> _Numbers:
+    number = partial(_number, group="Sampling")
     per_area = f"1/{length}²"
-    yield (
+    yield number(
         "spacing",
-        _number(
-            "point spacing",
-            density and density.spacing,
-            length,
-            group=group,
-            definition=f"Spacing of the points: {density.definition if density else 'the points cover no area'}.",
-        ),
+        "point spacing",
+        density and density.spacing,
+        length,
+        definition=f"Spacing of the points: {density.definition if density else 'the points cover no area'}.",
     )
-    yield (
+    yield number(
         "surface_density",
-        _number(
-            "density on the surface",
-            density and density.surface,
-            per_area,
-            group=group,
-            definition="Median of (k - 1) / (π r_k²), r_k the distance to the k-th neighbour,"
-            f" k = {DENSITY_NEIGHBORS}.",
-        ),
+        "density on the surface",
+        density and density.surface,
+        per_area,
+        definition=f"Median of (k - 1) / (π r_k²), r_k the distance to the k-th neighbour, k = {DENSITY_NEIGHBORS}.",
     )
-    yield (
+    yield number(
         "surface_density_ratio",
-        _number(
-            "unevenness of the density",
-            density and density.surface_ratio,
-            "",
-            better="lower",
-            group=group,
-            definition="Ratio of the 95th to the 5th percentile of the density on the surface.",
-        ),
+        "unevenness of the density",
+        density and density.surface_ratio,
+        "",
+        better="lower",
+        definition="Ratio of the 95th to the 5th percentile of the density on the surface.",
     )
-    yield (
+    yield number(
         "plan_density",
-        _number(
-            "density in plan view",
-            density and density.plan,
-            per_area,
-            group=group,
-            definition="Points per area of square cells that have points and are surrounded by such cells.",
-        ),
+        "density in plan view",
+        density and density.plan,
+        per_area,
+        definition="Points per area of square cells that have points and are surrounded by such cells.",
     )
-    yield (
+    yield number(
         "pulse_density",
-        _number(
-            "pulse density (ANPD)",
-            density.pulse if density is not None and density.is_seen_from_above else None,
-            per_area,
-            group=group,
-            definition="First returns per area of the same cells; none without return numbers. Only of clouds that are seen from"
-            " above.",
-            source=_USGS,
-        ),
+        "pulse density (ANPD)",
+        density.pulse if density is not None and density.is_seen_from_above else None,
+        per_area,
+        definition="First returns per area of the same cells; none without return numbers. Only of clouds that are seen"
+        " from above.",
+        source=_USGS,
     )
-    yield (
+    yield number(
         "pulse_spacing",
-        _number(
-            "pulse spacing (ANPS)",
-            density.pulse_spacing if density is not None and density.is_seen_from_above else None,
-            length,
-            group=group,
-            definition="1 / √(pulse density), or of all points without return numbers. Only of clouds that are seen from above.",
-            source=_USGS,
-        ),
+        "pulse spacing (ANPS)",
+        density.pulse_spacing if density is not None and density.is_seen_from_above else None,
+        length,
+        definition="1 / √(pulse density), or of all points without return numbers. Only of clouds that are seen from"
+        " above.",
+        source=_USGS,
     )
-    yield (
+    yield number(
         "filled_share",
-        _number(
-            "cells with a pulse",
-            density and density.filled_share,
-            "",
-            better="higher",
-            group=group,
-            definition="Share of cells of twice the pulse spacing, between others with pulses, that have a pulse; the"
-            " specification demands 0.9. Only of clouds that are seen from above.",
-            source=_USGS,
-        ),
+        "cells with a pulse",
+        density and density.filled_share,
+        "",
+        better="higher",
+        definition="Share of cells of twice the pulse spacing, between others with pulses, that have a pulse; the"
+        " specification demands 0.9. Only of clouds that are seen from above.",
+        source=_USGS,
     )
 
 
 def _void_numbers(voids: Voids | None, length: str) -> _Numbers:
-    group, unit = "Voids", f"{length}²"
+    number, unit = partial(_number, group="Voids"), f"{length}²"
     text = (
         "Areas inside the cloud that discs of (4 x pulse spacing)² without a point fill; at water (class 9) excluded."
         " Only of clouds that are seen from above."
     )
     counted = None if voids is None else voids.counted
-    yield (
+    yield number(
         "void_count",
-        _number(
-            "voids",
-            None if counted is None else len(counted),
-            "",
-            better="lower",
-            is_count=True,
-            group=group,
-            definition=text,
-            source=_USGS,
-        ),
+        "voids",
+        None if counted is None else len(counted),
+        "",
+        better="lower",
+        is_count=True,
+        definition=text,
+        source=_USGS,
     )
-    yield (
+    yield number(
         "void_area",
-        _number(
-            "area of all voids",
-            voids and voids.area,
-            unit,
-            better="lower",
-            is_count=True,
-            group=group,
-            definition="Total area of the voids.",
-            source=_USGS,
-        ),
+        "area of all voids",
+        voids and voids.area,
+        unit,
+        better="lower",
+        is_count=True,
+        definition="Total area of the voids.",
+        source=_USGS,
     )
-    yield (
+    yield number(
         "largest_void",
-        _number(
-            "largest void",
-            None if counted is None else max((void.area for void in counted), default=0.0),
-            unit,
-            better="lower",
-            is_count=True,
-            group=group,
-            definition="Area of the largest void.",
-            source=_USGS,
-        ),
+        "largest void",
+        None if counted is None else max((void.area for void in counted), default=0.0),
+        unit,
+        better="lower",
+        is_count=True,
+        definition="Area of the largest void.",
+        source=_USGS,
     )
 
 
 def _surface_numbers(surface: SurfaceNoise | None, length: str) -> _Numbers:
-    group = "Noise"
+    number = partial(_number, group="Noise")
     where = "" if surface is None else f", radius {surface.radius:.3g} {length}"
-    yield (
+    yield number(
         "noise",
-        _number(
-            "noise across surfaces",
-            surface and surface.noise,
-            length,
-            better="lower",
-            group=group,
-            definition="Median over flat patches of the normalised median absolute deviation of their points from a"
-            f" surface of second order{where}; places with double walls are left out.",
-        ),
+        "noise across surfaces",
+        surface and surface.noise,
+        length,
+        better="lower",
+        definition="Median over flat patches of the normalised median absolute deviation of their points from a"
+        f" surface of second order{where}; places with double walls are left out.",
     )
-    yield (
+    yield number(
         "thickness",
-        _number(
-            "thickness of surfaces",
-            surface and surface.thickness,
-            length,
-            better="lower",
-            group=group,
-            definition=f"Median over flat patches of the width along the normal that holds 90 % of the points{where}.",
-        ),
+        "thickness of surfaces",
+        surface and surface.thickness,
+        length,
+        better="lower",
+        definition=f"Median over flat patches of the width along the normal that holds 90 % of the points{where}.",
     )
-    yield (
+    yield number(
         "roughness",
-        _number(
-            "roughness",
-            surface and surface.roughness,
-            length,
-            group=group,
-            definition=f"Median over flat patches of the standard deviation of their points about a plane{where}; the"
-            " shape of the surface is part of it.",
-        ),
+        "roughness",
+        surface and surface.roughness,
+        length,
+        definition=f"Median over flat patches of the standard deviation of their points about a plane{where}; the"
+        " shape of the surface is part of it.",
     )
-    yield (
+    yield number(
         "flat_share",
-        _number(
-            "flat patches",
-            surface and surface.flat_share,
-            "",
-            group=group,
-            definition=f"Share of the patches whose points lie close to a smooth surface{where}.",
-        ),
+        "flat patches",
+        surface and surface.flat_share,
+        "",
+        definition=f"Share of the patches whose points lie close to a smooth surface{where}.",
     )
 
 
 def _sheet_numbers(walls: DoubleWalls | None, length: str) -> _Numbers:
-    group = "Double walls"
+    number = partial(_number, group="Double walls")
     limit = "" if walls is None else f" up to {walls.max_separation:.3g} {length} apart"
-    yield (
+    yield number(
         "double_wall_count",
-        _number(
-            "double walls",
-            None if walls is None else len(walls.walls),
-            "",
-            better="lower",
-            is_count=True,
-            group=group,
-            definition=f"Surfaces that appear as two parallel sheets{limit}, one behind the other.",
-        ),
+        "double walls",
+        None if walls is None else len(walls.walls),
+        "",
+        better="lower",
+        is_count=True,
+        definition=f"Surfaces that appear as two parallel sheets{limit}, one behind the other.",
     )
-    yield (
+    yield number(
         "double_wall_separation",
-        _number(
-            "distance of the sheets",
-            walls and walls.separation,
-            length,
-            better="lower",
-            group=group,
-            definition="Median distance of the sheets along their normal over all places of double walls.",
-        ),
+        "distance of the sheets",
+        walls and walls.separation,
+        length,
+        better="lower",
+        definition="Median distance of the sheets along their normal over all places of double walls.",
     )
-    yield (
+    yield number(
         "double_wall_area",
-        _number(
-            "area of double walls",
-            None if walls is None else sum(wall.area for wall in walls.walls),
-            f"{length}²",
-            better="lower",
-            is_count=True,
-            group=group,
-            definition="Area of the double walls: half of the voxels that their places fill, roughly.",
-        ),
+        "area of double walls",
+        None if walls is None else sum(wall.area for wall in walls.walls),
+        f"{length}²",
+        better="lower",
+        is_count=True,
+        definition="Area of the double walls: half of the voxels that their places fill, roughly.",
     )
 
 
 def _entropy_numbers(entropy: MapEntropy | None, length: str) -> _Numbers:
-    group = "Blur of the map"
+    number = partial(_number, group="Blur of the map")
     where = (
         "" if entropy is None else f" (radius {entropy.radius:.3g} {length}, at least {entropy.min_neighbors} points)"
     )
-    yield (
+    yield number(
         "map_entropy",
-        _number(
-            "mean map entropy",
-            entropy and entropy.entropy,
-            "nat",
-            better="lower",
-            needs_equal_density=True,
-            group=group,
-            definition=f"Mean of 0.5 ln det(2πe Σ), Σ the covariance of the points around a point{where}; it depends on"
-            " the radius, the density and the unit of length.",
-            source="Razlaw et al. 2015, eq. 1; MapEval",
-        ),
+        "mean map entropy",
+        entropy and entropy.entropy,
+        "nat",
+        better="lower",
+        needs_equal_density=True,
+        definition=f"Mean of 0.5 ln det(2πe Σ), Σ the covariance of the points around a point{where}; it depends on"
+        " the radius, the density and the unit of length.",
+        source="Razlaw et al. 2015, eq. 1; MapEval",
     )
-    yield (
+    yield number(
         "plane_variance",
-        _number(
-            "mean plane variance",
-            entropy and entropy.plane_variance,
-            f"{length}²",
-            better="lower",
-            needs_equal_density=True,
-            group=group,
-            definition=f"Mean of the smallest eigenvalue of Σ{where}.",
-            source="Kornilova & Ferrer 2021, eq. 4",
-        ),
+        "mean plane variance",
+        entropy and entropy.plane_variance,
+        f"{length}²",
+        better="lower",
+        needs_equal_density=True,
+        definition=f"Mean of the smallest eigenvalue of Σ{where}.",
+        source="Kornilova & Ferrer 2021, eq. 4",
     )
 
 
 def _strip_numbers(strips: StripAgreement | None, length: str) -> _Numbers:
-    group = "Strips"
+    number = partial(_number, group="Strips")
     pairs = () if strips is None else strips.pairs
     field = "" if strips is None else f"; strips by {strips.field}"
     worst = next((pair for pair in pairs if pair.dz is not None), None)
     offset = None if worst is None or worst.dz is None else worst.dz
     if offset is not None and offset.value < 0:
-        offset = Estimate(-offset.value, -offset.high, -offset.low)
-    yield (
+        offset = BlockEstimate(-offset.value, -offset.high, -offset.low)
+    yield number(
         "strip_pairs",
-        _number(
-            "pairs of overlapping strips",
-            len(pairs) if strips is not None else None,
-            "",
-            group=group,
-            definition=f"Pairs of strips that show at least 30 places on a common surface{field}.",
-        ),
+        "pairs of overlapping strips",
+        len(pairs) if strips is not None else None,
+        "",
+        definition=f"Pairs of strips that show at least 30 places on a common surface{field}.",
     )
-    yield (
+    yield number(
         "strip_dz",
-        _number(
-            "largest offset of two strips",
-            offset,
-            length,
-            better="lower",
-            group=group,
-            definition="Largest absolute median vertical difference of two strips, on surfaces of at most 30 degrees.",
-        ),
+        "largest offset of two strips",
+        offset,
+        length,
+        better="lower",
+        definition="Largest absolute median vertical difference of two strips, on surfaces of at most 30 degrees.",
     )
-    yield (
+    yield number(
         "strip_rms_dz",
-        _number(
-            "largest RMSDz of two strips",
-            max((pair.rms_dz for pair in pairs if pair.rms_dz is not None), default=None),
-            length,
-            better="lower",
-            group=group,
-            definition="Largest root mean square of the vertical differences of two strips, without places beyond"
-            " 5 NMAD.",
-            source=f"{_USGS}, interswath consistency",
-        ),
+        "largest RMSDz of two strips",
+        max((pair.rms_dz for pair in pairs if pair.rms_dz is not None), default=None),
+        length,
+        better="lower",
+        definition="Largest root mean square of the vertical differences of two strips, without places beyond 5 NMAD.",
+        source=f"{_USGS}, interswath consistency",
     )
-    yield (
+    yield number(
         "strip_rms",
-        _number(
-            "RMS of all strips",
-            strips and strips.rms_normal,
-            length,
-            better="lower",
-            group=group,
-            definition="Root mean square of the offsets along the normals over all pairs, likewise.",
-        ),
+        "RMS of all strips",
+        strips and strips.rms_normal,
+        length,
+        better="lower",
+        definition="Root mean square of the offsets along the normals over all pairs, likewise.",
     )
 
 
 def _upright_numbers(upright: Uprightness | None) -> _Numbers:
-    group = "Walls"
-    yield (
+    number = partial(_number, group="Walls")
+    yield number(
         "wall_count",
-        _number(
-            "walls",
-            None if upright is None else upright.walls,
-            "",
-            group=group,
-            definition="Large planes within 10 degrees of the vertical.",
-        ),
+        "walls",
+        None if upright is None else upright.walls,
+        "",
+        definition="Large planes within 10 degrees of the vertical.",
     )
-    yield (
+    yield number(
         "tilt",
-        _number(
-            "tilt of the walls",
-            upright and upright.tilt_deg,
-            "deg",
-            better="lower",
-            group=group,
-            definition="Rotation of the whole cloud by which its walls are best upright: robust least squares over the"
-            " normals of the walls. None with fewer than 6 walls.",
-        ),
+        "tilt of the walls",
+        upright and upright.tilt_deg,
+        "deg",
+        better="lower",
+        definition="Rotation of the whole cloud by which its walls are best upright: robust least squares over the"
+        " normals of the walls. None with fewer than 6 walls.",
     )
 
 
 def _fault_numbers(quality: CloudQuality, length: str) -> _Numbers:
-    group, faults, outliers = "Points", quality.coordinates, quality.outliers
+    number, faults, outliers = partial(_number, group="Points"), quality.coordinates, quality.outliers
     share = f"Points whose {NEIGHBORS}th neighbour is {MAX_RATIO:g} times farther away than those of the points around."
-    exact = partial(_number, better="lower", is_count=True, group=group)
-    yield "points", _number("points", faults.points, "", group=group, definition="Number of points.")
-    yield (
+    exact = partial(number, better="lower", is_count=True)
+    yield number("points", "points", faults.points, "", definition="Number of points.")
+    yield exact(
         "outliers",
-        exact(
-            "outliers",
-            outliers and outliers.number,
-            "",
-            definition=share,
-            source="as the local outlier factor, Breunig et al. 2000",
-        ),
+        "outliers",
+        outliers and outliers.number,
+        "",
+        definition=share,
+        source="as the local outlier factor, Breunig et al. 2000",
     )
-    yield "outlier_share", exact("share of outliers", outliers and outliers.share, "", definition=share)
-    yield (
-        "copies",
-        exact("copies of points", faults.copies, "", definition="Points at the position of an earlier one."),
-    )
-    yield (
+    yield exact("outlier_share", "share of outliers", outliers and outliers.share, "", definition=share)
+    yield exact("copies", "copies of points", faults.copies, "", definition="Points at the position of an earlier one.")
+    yield exact(
         "missing_points",
-        exact(
-            "missing data stored as points",
-            faults.missing,
-            "",
-            definition="Points with fill values such as -9999, 1e38 or (0, 0, 0), far from all others or repeated; they"
-            " count in no other number.",
-        ),
+        "missing data stored as points",
+        faults.missing,
+        "",
+        definition="Points with fill values such as -9999, 1e38 or (0, 0, 0), far from all others or repeated; they"
+        " count in no other number.",
     )
-    yield (
-        "origin_points",
-        exact("points at (0, 0, 0)", faults.at_origin, "", definition="Points that are exactly (0, 0, 0)."),
+    yield exact(
+        "origin_points", "points at (0, 0, 0)", faults.at_origin, "", definition="Points that are exactly (0, 0, 0)."
     )
-    yield (
+    yield number(
         "step",
-        _number(
-            "step of the coordinates",
-            max(faults.steps),
-            length,
-            better="lower",
-            is_count=True,
-            group=group,
-            definition="Largest step in which x, y or z is rounded; 0: none is visible.",
-        ),
+        "step of the coordinates",
+        max(faults.steps),
+        length,
+        better="lower",
+        is_count=True,
+        definition="Largest step in which x, y or z is rounded; 0: none is visible.",
     )
-    yield (
+    yield number(
         "float32_step",
-        _number(
-            "step of 32-bit floats",
-            faults.float32_step,
-            length,
-            group=group,
-            definition="Distance of neighbouring 32-bit floats at the largest coordinate: what a file with such floats"
-            " would round to.",
-        ),
+        "step of 32-bit floats",
+        faults.float32_step,
+        length,
+        definition="Distance of neighbouring 32-bit floats at the largest coordinate: what a file with such floats"
+        " would round to.",
     )

@@ -3,7 +3,7 @@
 The statistical filter of Rusu et al. 2008 compares the distances with those of the whole cloud, so that it removes
 the far parts of a sweep, whose density falls with distance. Here, as in the local outlier factor (Breunig et al.
 2000), they are compared with those around: a point is an outlier if the distance to its 8th neighbour is more than 4
-times the median of that distance over its 8 neighbours. Groups of up to 7 points are found, too.
+times the median of that distance over its 8 neighbours. PointGroups of up to 7 points are found, too.
 """
 
 from __future__ import annotations

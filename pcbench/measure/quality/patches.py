@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, is_kept
 from pcbench.geometry.voxels import voxel_downsample
-from pcbench.measure.quality.groups import Groups
+from pcbench.measure.quality.groups import PointGroups
 
 RADIUS_SPACINGS = 8.0
 """Radius of a patch in spacings: about 45 points of a surface with strewn points."""
@@ -36,7 +36,7 @@ _TERMS = 6  # of a surface of second order
 _MIN_CURVATURE_GAIN = 0.6  # of the plane's variance, that remains about a curved surface: below it, it is curved
 
 
-class Patches(NamedTuple):
+class SurfacePatches(NamedTuple):
     """Patches of a cloud; P patches.
 
     Attributes:
@@ -93,7 +93,7 @@ def choose_radius(index: Index, spacing: float, extent: float, min_neighbors: in
     return min(ratios, key=ratios.__getitem__, default=first)
 
 
-def fit_patches(index: Index, seeds: FloatArray, radius: float, min_neighbors: int, seed: int) -> Patches:
+def fit_patches(index: Index, seeds: FloatArray, radius: float, min_neighbors: int, seed: int) -> SurfacePatches:
     """Fit a surface to the points within a radius of each seed (S, 3).
 
     Seeds with fewer than `min_neighbors` points have no patch.
@@ -103,15 +103,17 @@ def fit_patches(index: Index, seeds: FloatArray, radius: float, min_neighbors: i
         for start, members in neighborhoods(index, seeds, radius, min_neighbors, seed)
     ]
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in Patches._fields if name != "radius"
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in SurfacePatches._fields
+        if name != "radius"
     }
-    patches = Patches(**columns, radius=radius)
+    patches = SurfacePatches(**columns, radius=radius)
     return patches.select(patches.counts >= min_neighbors)
 
 
 def neighborhoods(
     index: Index, seeds: FloatArray, radius: float, min_neighbors: int, seed: int
-) -> list[tuple[int, Groups]]:
+) -> list[tuple[int, PointGroups]]:
     """Return the points within a radius of each seed (S, 3), some seeds at once.
 
     A cloud with more than 90 points per patch is thinned at random to 60, so that a large radius costs no more.
@@ -122,7 +124,7 @@ def neighborhoods(
     mean = max(_mean_count(searched, seeds, radius, seed), 1.0)
     size = max(int(_CHUNK_ROWS / mean), 1)
     return [
-        (start, Groups.of(searched.query_radius(seeds[start : start + size], radius), index.points, kept))
+        (start, PointGroups.of(searched.query_radius(seeds[start : start + size], radius), index.points, kept))
         for start in range(0, len(seeds), size)
     ]
 
@@ -138,7 +140,7 @@ def _mean_count(index: Index, seeds: FloatArray, radius: float, seed: int) -> fl
     return float(index.query_radius(seeds[rows], radius).counts.mean())
 
 
-def _fit(seeds: FloatArray, groups: Groups, radius: float) -> Patches:
+def _fit(seeds: FloatArray, groups: PointGroups, radius: float) -> SurfacePatches:
     """Fit patches: a plane, again without outliers, and a surface of second order."""
     offsets = groups.values - seeds[groups.of_row]
     weights = np.ones(len(offsets))
@@ -164,12 +166,12 @@ def _fit(seeds: FloatArray, groups: Groups, radius: float) -> Patches:
     )
     is_plane = is_flat & ((curved_variance > _MIN_CURVATURE_GAIN * plane_variance) | (plane_variance == 0))
     normals = axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1.0, 1.0)
-    return Patches(
+    return SurfacePatches(
         centres + seeds, normals, noise, np.sqrt(plane_variance), high - low, groups.counts, is_flat, is_plane, radius
     )
 
 
-def _residuals(groups: Groups, local: FloatArray, weights: FloatArray) -> FloatArray:
+def _residuals(groups: PointGroups, local: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the heights (N,) of points above surfaces of second order through the points of each group."""
     u, v, height = local.T
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)

@@ -13,15 +13,15 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import Sampling, sampling_of
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, mean_estimate, median_estimate
+from pcbench.measure.quality.bootstrap import BlockEstimate, mean_estimate, median_estimate
 from pcbench.measure.quality.coordinates import CoordinateFaults, coordinate_faults
-from pcbench.measure.quality.density import Density, PlanMap, measure_density, plan_counts
+from pcbench.measure.quality.density import CloudDensity, PlanMap, measure_density, plan_counts
 from pcbench.measure.quality.entropy import MapEntropy, map_entropy
 from pcbench.measure.quality.outliers import Outliers, find_outliers
 from pcbench.measure.quality.patches import (
     MIN_FLAT_PATCHES,
     RADIUS_SPACINGS,
-    Patches,
+    SurfacePatches,
     choose_radius,
     fit_patches,
     seeds_of,
@@ -47,17 +47,17 @@ class SurfaceNoise(NamedTuple):
         radius: radius of the patches.
     """
 
-    noise: Estimate
-    thickness: Estimate
-    roughness: Estimate
-    flat_share: Estimate
+    noise: BlockEstimate
+    thickness: BlockEstimate
+    roughness: BlockEstimate
+    flat_share: BlockEstimate
     patches: int
     radius: float
 
 
 @dataclass(frozen=True)
 class CloudQuality:
-    """What one cloud tells about itself; parts that do not exist for it are None.
+    """All results about one cloud; parts that do not exist for it are None.
 
     Attributes:
         coordinates: missing data, copies and rounding.
@@ -72,7 +72,7 @@ class CloudQuality:
     """
 
     coordinates: CoordinateFaults
-    density: Density | None = None
+    density: CloudDensity | None = None
     voids: Voids | None = None
     outliers: Outliers | None = None
     surface: SurfaceNoise | None = None
@@ -211,7 +211,7 @@ def _are_first(attributes: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_] | No
     return is_first if is_first.mean() > 0.1 else None
 
 
-def _surface_noise(patches: Patches, walls: DoubleWalls, seed: int) -> SurfaceNoise | None:
+def _surface_noise(patches: SurfacePatches, walls: DoubleWalls, seed: int) -> SurfaceNoise | None:
     """Return the noise over flat patches that are not at double walls, whose distance is no noise."""
     if not len(patches.counts):
         return None
@@ -231,7 +231,7 @@ def _surface_noise(patches: Patches, walls: DoubleWalls, seed: int) -> SurfaceNo
     return SurfaceNoise(noise, thickness, roughness, share, len(patches.counts), patches.radius)
 
 
-def _thickness_map(patches: Patches) -> PlanMap | None:
+def _thickness_map(patches: SurfacePatches) -> PlanMap | None:
     """Return the mean thickness of flat patches in square cells that have three of them on average."""
     flat = patches.select(patches.is_flat)
     if len(flat.counts) < MIN_FLAT_PATCHES or not np.ptp(flat.centres[:, :2], axis=0).all():

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, median_estimate
-from pcbench.measure.quality.groups import Groups
+from pcbench.measure.quality.bootstrap import BlockEstimate, median_estimate
+from pcbench.measure.quality.groups import PointGroups
 from pcbench.measure.quality.patches import neighborhoods, seeds_of
 
 SEPARATION_SPACINGS = 22.0
@@ -73,7 +73,7 @@ class DoubleWalls(NamedTuple):
     """
 
     walls: tuple[DoubleWall, ...]
-    separation: Estimate | None
+    separation: BlockEstimate | None
     max_separation: float
     tested: int
     places: FloatArray
@@ -157,14 +157,14 @@ def _sheets_around(
 
 
 def _split(
-    groups: Groups, seeds: FloatArray, radius: float, step: float, normals: FloatArray | None
+    groups: PointGroups, seeds: FloatArray, radius: float, step: float, normals: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
     """Return which groups are two sheets (G,), the normals (G, 3), and the distances of the sheets (G,)."""
     offsets = groups.values - seeds[groups.of_row]
     ones = np.ones(len(offsets))
     means, _, axes = groups.principal_axes(offsets, ones)
     upper = _upper_part(groups, groups.along(offsets - means[groups.of_row], axes[:, :, 0]))
-    # The normal follows from the points about the mean of their own sheet, and the split from the normal.
+    # The normal follows from the points about the mean of each sheet, and the split from the normal.
     centred = offsets - _part_means(groups, offsets, upper)
     _, variances_along, axes = groups.principal_axes(centred, ones)
     heights = groups.along(offsets - means[groups.of_row], axes[:, :, 0])
@@ -201,7 +201,9 @@ def _split(
     return is_double, axes[:, :, 0], separations
 
 
-def _quadrants(groups: Groups, right: NDArray[np.bool_], up: NDArray[np.bool_], part: NDArray[np.bool_]) -> IntArray:
+def _quadrants(
+    groups: PointGroups, right: NDArray[np.bool_], up: NDArray[np.bool_], part: NDArray[np.bool_]
+) -> IntArray:
     """Return the number of quadrants (G,) of each group in which a part of its points lies."""
     number = np.zeros(len(groups.counts), dtype=np.int64)
     for is_right in (False, True):
@@ -210,7 +212,7 @@ def _quadrants(groups: Groups, right: NDArray[np.bool_], up: NDArray[np.bool_], 
     return number
 
 
-def _upper_part(groups: Groups, heights: FloatArray) -> NDArray[np.bool_]:
+def _upper_part(groups: PointGroups, heights: FloatArray) -> NDArray[np.bool_]:
     """Return which heights (N,) are above the split with the largest variance between both parts (Otsu 1979)."""
     order = groups.ordered(heights)
     ordered = heights[order]
@@ -231,7 +233,7 @@ def _upper_part(groups: Groups, heights: FloatArray) -> NDArray[np.bool_]:
     return upper
 
 
-def _part_means(groups: Groups, offsets: FloatArray, upper: NDArray[np.bool_]) -> FloatArray:
+def _part_means(groups: PointGroups, offsets: FloatArray, upper: NDArray[np.bool_]) -> FloatArray:
     """Return for each point (N, 3) the mean of the part of its group to which it belongs."""
     means = np.empty_like(offsets)
     for part in (upper, ~upper):

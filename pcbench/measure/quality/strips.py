@@ -1,7 +1,7 @@
 """Agreement of overlapping strips: the offset between the surfaces that two strips show of the same places.
 
 At places where two strips have enough points within a radius, the normal follows from the points about the mean of
-their own strip, and the offset is the difference of both means along it. So neither the slope of the surface nor
+each strip, and the offset is the difference of both means along it. So neither the slope of the surface nor
 another distribution of the points changes it. On surfaces of at most 30 degrees, the offset over the normal's z is the
 vertical difference dz; the USGS Lidar Base Specification 2.1 calls its root mean square RMSDz (interswath consistency).
 """
@@ -20,8 +20,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.intervals import partition
-from pcbench.measure.quality.bootstrap import Estimate, median_estimate, root_mean_square_estimate
-from pcbench.measure.quality.groups import Groups
+from pcbench.measure.quality.bootstrap import BlockEstimate, median_estimate, root_mean_square_estimate
+from pcbench.measure.quality.groups import PointGroups
 from pcbench.measure.quality.patches import seeds_of
 
 FILE, NONE, AUTO, GPS_TIME, SOURCE = "file", "none", "auto", "gps_time", "point_source_id"
@@ -55,9 +55,9 @@ class StripPair(NamedTuple):
     first: str
     second: str
     places: int
-    dz: Estimate | None
-    rms_dz: Estimate | None
-    rms_normal: Estimate
+    dz: BlockEstimate | None
+    rms_dz: BlockEstimate | None
+    rms_normal: BlockEstimate
     left_out: float
 
 
@@ -75,7 +75,7 @@ class StripAgreement(NamedTuple):
     field: str
     strips: int
     pairs: tuple[StripPair, ...]
-    rms_normal: Estimate | None
+    rms_normal: BlockEstimate | None
     why_not: str
 
 
@@ -194,7 +194,7 @@ def _offsets(
     step = max(int(_CHUNK_ROWS / max(mean, 3.0 * count)), 1)
     parts = [
         _offsets_at(
-            Groups.of(index.query_radius(seeds[k : k + step], radius), index.points),
+            PointGroups.of(index.query_radius(seeds[k : k + step], radius), index.points),
             strips,
             count,
             seeds[k : k + step],
@@ -207,7 +207,7 @@ def _offsets(
 
 
 def _offsets_at(
-    groups: Groups, strips: IntArray, count: int, seeds: FloatArray, radius: float
+    groups: PointGroups, strips: IntArray, count: int, seeds: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray]:
     offsets = groups.values - seeds[groups.of_row]
     strip = strips[groups.rows]

@@ -15,8 +15,8 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.quality.bootstrap import Estimate, statistic_estimate
-from pcbench.measure.quality.patches import Patches
+from pcbench.measure.quality.bootstrap import BlockEstimate, statistic_estimate
+from pcbench.measure.quality.patches import SurfacePatches
 
 MIN_WALLS = 6
 """Number of walls below which no tilt is reported."""
@@ -41,13 +41,13 @@ class Uprightness(NamedTuple):
     """
 
     walls: int
-    tilt_deg: Estimate | None
+    tilt_deg: BlockEstimate | None
     median_tilt_deg: float | None
     azimuth_deg: float | None
     why_not: str
 
 
-def wall_tilt(patches: Patches, seed: int) -> Uprightness:
+def wall_tilt(patches: SurfacePatches, seed: int) -> Uprightness:
     """Return the rotation of the walls among planar patches against the vertical."""
     steep = patches.select(patches.is_plane & (np.abs(patches.normals[:, 2]) < math.sin(math.radians(_MAX_TILT_DEG))))
     normals, weights = _walls(steep)
@@ -73,11 +73,7 @@ def wall_tilt(patches: Patches, seed: int) -> Uprightness:
     # A rotation about w moves the top of the z axis by w x z = (w_y, -w_x).
     azimuth = math.degrees(math.atan2(rotation[1], -rotation[0])) % 360
     return Uprightness(
-        len(normals),
-        Estimate(value, max(estimate.low, 0.0), estimate.high),
-        float(np.median(own)),
-        azimuth,
-        "",
+        len(normals), BlockEstimate(value, max(estimate.low, 0.0), estimate.high), float(np.median(own)), azimuth, ""
     )
 
 
@@ -96,11 +92,11 @@ def _rotation(design: FloatArray, upward: FloatArray, weights: FloatArray) -> tu
         solution = np.asarray(np.linalg.lstsq(weighted.T @ design, weighted.T @ upward, rcond=None)[0])
         residuals = np.abs(upward - design @ solution)
         limit = max(_HUBER * 1.4826 * float(np.median(residuals)), 1e-12)
-        robust = np.minimum(limit / np.maximum(residuals, 1e-300), 1.0)  # weights of Huber 1964
+        robust = np.minimum(limit / np.maximum(residuals, 1e-300), 1.0)  # weights of Huber 1981
     return solution, robust
 
 
-def _walls(patches: Patches) -> tuple[FloatArray, FloatArray]:
+def _walls(patches: SurfacePatches) -> tuple[FloatArray, FloatArray]:
     """Return the normals (W, 3) of the walls that steep patches make, and their weights (W,)."""
     labels = _components(patches)
     normals, weights = [], []
@@ -118,7 +114,7 @@ def _walls(patches: Patches) -> tuple[FloatArray, FloatArray]:
     return np.array(normals).reshape(-1, 3), np.array(weights, dtype=np.float64)
 
 
-def _components(patches: Patches) -> IntArray:
+def _components(patches: SurfacePatches) -> IntArray:
     """Return the wall (P,) of each patch: neighbours that lie in a common plane share a wall."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

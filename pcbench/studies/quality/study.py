@@ -15,13 +15,7 @@ from pcbench.geometry.crs import check_heights, check_lengths, single_unit
 from pcbench.io.las_records import parse_filters
 from pcbench.io.source import Source
 from pcbench.measure.quality.numbers import better_cloud, quality_numbers
-from pcbench.measure.quality.quality import (
-    CloudData,
-    CloudQuality,
-    QualityMaps,
-    default_radius,
-    measure_quality,
-)
+from pcbench.measure.quality.quality import CloudData, CloudQuality, QualityMaps, default_radius, measure_quality
 from pcbench.measure.quality.settings import QualitySettings
 from pcbench.measure.wording import with_unit
 from pcbench.report.document import provenance

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from pcbench.measure.quality.bootstrap import Estimate
+from pcbench.measure.quality.bootstrap import BlockEstimate
 from pcbench.report.article import TableCell
 from pcbench.report.markup import csv_text
 from pcbench.report.words import UNKNOWN, length_number, percentage
@@ -118,7 +118,7 @@ def terminal_rows(study: QualityStudy) -> list[Sequence[str]]:
     return [[cell if isinstance(cell, str) else f"{cell.text} *" for cell in row] for row in number_rows(study)]
 
 
-def _estimate(value: Estimate | None) -> str:
+def _estimate(value: BlockEstimate | None) -> str:
     if value is None:
         return UNKNOWN
     text = length_number(value.value)

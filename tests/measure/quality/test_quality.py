@@ -10,7 +10,7 @@ from wording import check_error
 
 from pcbench import read_cloud
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.quality.bootstrap import Estimate, mean_estimate, median_estimate, root_mean_square_estimate
+from pcbench.measure.quality.bootstrap import BlockEstimate, mean_estimate, median_estimate, root_mean_square_estimate
 from pcbench.measure.quality.coordinates import coordinate_faults
 from pcbench.measure.quality.entropy import map_entropy
 from pcbench.measure.quality.numbers import better_cloud, have_equal_density, quality_numbers
@@ -248,7 +248,7 @@ def test_estimates_have_intervals_from_blocks():
     shared = rng.normal(0, 1, 50)[blocks] + rng.normal(0, 0.1, 1000)  # neighbours are correlated
     for estimate in (mean_estimate(shared, blocks, 0), median_estimate(shared, blocks, 0)):
         assert estimate.low < 0 < estimate.high and estimate.high - estimate.low > 2 * 1.5 / math.sqrt(50)
-    assert root_mean_square_estimate(np.full(1000, -2.0), blocks, 0) == Estimate(2.0, 2.0, 2.0)
+    assert root_mean_square_estimate(np.full(1000, -2.0), blocks, 0) == BlockEstimate(2.0, 2.0, 2.0)
     assert not mean_estimate(shared, np.zeros(1000, dtype=int), 0).has_interval
     assert median_estimate(np.empty(0), np.empty(0, dtype=int), 0) is None
 
