@@ -141,8 +141,6 @@ def _read(source: Source, memory: int, step: Callable[[str], None]) -> tuple[Clo
         single_unit(cloud.crs, mixed.append)
         if mixed:
             raise InputError(f"{source.path}: expected one unit of length, got two: {mixed[0]}")
-    if source.holds_mesh:
-        warnings.append(f"{source.path}: the file is a mesh; its vertices are measured")
     counts = [file.count for file in disk.files]
     files = None
     if len(counts) > 1 and sum(counts) == len(cloud):  # otherwise filters or missing values removed some
@@ -182,7 +180,7 @@ def _reasons(quality: CloudQuality, unit: str | None, settings: QualitySettings)
     elif quality.density.why_not:
         reasons["voids"] = f"not looked for, because {quality.density.why_not}"
     elif quality.voids is not None:
-        least = with_unit(f"{quality.voids.least_area:.3g}", f"{unit}²" if unit else None)
+        least = f"{quality.voids.least_area:.3g} {unit or 'units'}²"
         reasons["voids"] = f"no area inside the cloud of {least} or more is without returns"
     if quality.surface is None:
         reasons["noise"] = "too few patches of its points lie on a smooth surface"
