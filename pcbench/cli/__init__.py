@@ -17,6 +17,7 @@ from pcbench.cli import (
     convert,
     evaluate,
     experiments,
+    quality,
     reconstruction,
     reports,
     scenes,
@@ -43,7 +44,15 @@ def app(log: Path | None) -> None:
 
 
 for _command in (
-    *(reports.compare, change.change, reports.deform, reports.plot, view.view, checkpoints.checkpoints),
+    *(
+        reports.compare,
+        change.change,
+        reports.deform,
+        reports.plot,
+        view.view,
+        checkpoints.checkpoints,
+        quality.quality,
+    ),
     *(clouds.info, clouds.crop, clouds.register, convert.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),

@@ -37,8 +37,9 @@ INCOMPLETE = 4
     default="pcbench",
     show_default=True,
     metavar="NAME[:SETTING=VALUE,...]",
-    help="Protocol, with settings that differ from the official ones: the benchmarks dtu, eth3d, tnt and mesh (rooms); the"
-    " definitions of gao2025, mpeg, open3d, pdal, pytorch3d, kaolin and point-cloud-utils; or pcbench (its own metrics).",
+    help="Protocol, with settings that differ from the official ones: the benchmarks dtu, eth3d, tnt and mesh (rooms);"
+    " the definitions of gao2025, mpeg, open3d, pdal, pytorch3d, kaolin and point-cloud-utils; or pcbench (its own"
+    " metrics).",
 )
 @click.option("--protocol-data", type=FILE, metavar="FOLDER", help="Folder with files of the benchmark, such as masks.")
 @click.option(

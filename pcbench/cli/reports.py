@@ -315,18 +315,20 @@ def _plot_report(
     from pcbench.studies.checkpoints.charts import PICTURES as CHECK_POINTS
     from pcbench.studies.evaluate.charts import PICTURES as EVALUATION
     from pcbench.studies.gao.figures import PICTURES as GAO
+    from pcbench.studies.quality.charts import PICTURES as QUALITY
     from pcbench.studies.stress.charts import PICTURES as STRESS
     from pcbench.studies.tradeoff.charts import PICTURES as TRADEOFF
     from pcbench.studies.views.pictures import PICTURES as VIEWS
 
     complete_replacement(report)
-    kinds = (REPORT, CHANGE, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, EVALUATION, CHECK_POINTS)
+    kinds = (REPORT, CHANGE, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF, EVALUATION, CHECK_POINTS, QUALITY)
     drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
             f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a change"
             " (change.json), a bench (bench.json), views (scores.json), an experiment (experiment.json), stress"
-            " (stress.json), tradeoff (tradeoff.json), evaluate (evaluate.json) or check points (checkpoints.json)"
+            " (stress.json), tradeoff (tradeoff.json), evaluate (evaluate.json), check points (checkpoints.json) or"
+            " quality (quality.json)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)
