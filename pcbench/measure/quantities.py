@@ -5,7 +5,6 @@ comparison.json, metrics.csv, the table, the summary and the sentences on differ
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
@@ -46,7 +45,10 @@ def _means(candidate: Candidate) -> Iterator[Quantity]:
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             yield from _mean(directed[direction], metric, direction)
         if directed.symmetric_max is not None:
-            yield _estimated(metric.name, "symmetric_max", metric.definition, directed.symmetric_max, metric.unit)
+            larger = _estimated(metric.name, "symmetric_max", metric.definition, directed.symmetric_max, metric.unit)
+            yield larger
+            if metric.root_name is not None:
+                yield _root_of(larger, metric.root_name, directed.symmetric_max)
         if (kind := _SPREAD_OF.get(metric.name)) in candidate.metrics.spreads:
             yield from _distribution(candidate, str(kind))
 
@@ -73,20 +75,28 @@ def _mean(estimate: Estimate, metric: MeanMetric, direction: str) -> Iterator[Qu
     )
     if metric.root_name is None:
         return
-    yield Quantity(
-        metric.root_name,
-        direction,
-        f"root {text}",
-        _root(estimate.value),
-        path=("metrics", metric.root_name, direction),
-        square=mean,
-    )
+    yield _root_of(mean, metric.root_name, estimate)
     yield Quantity(
         f"{metric.root_name}_floor",
         direction,
         f"root of the sampling floor of: {text}",
-        _root(estimate.floor),
+        estimate.root().floor,
         path=("metrics", metric.root_name, "floor", direction),
+    )
+
+
+def _root_of(square: Quantity, name: str, estimate: Estimate) -> Quantity:
+    """Return the root of a mean square, with the roots of the ends of its interval."""
+    root = estimate.root()
+    return Quantity(
+        name,
+        square.direction,
+        f"root {square.definition}",
+        root.value,
+        interval=root.interval,
+        has_interval=True,
+        path=("metrics", name, square.direction),
+        square=square,
     )
 
 
@@ -102,6 +112,11 @@ def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
                 value,
                 path=("metrics", "spreads", kind, direction, key),
             )
+    if kind == "plane_distance" and candidate.offset is not None:
+        text = "median signed distance to the tangent plane, of the points near the surface"
+        yield Quantity(
+            "offset", CANDIDATE_TO_REFERENCE, text, candidate.offset.median, interval=candidate.offset.interval
+        )
 
 
 def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
@@ -305,10 +320,6 @@ def _estimated(
         difference=f"{metric}/{direction}",
         group=group,
     )
-
-
-def _root(value: float | None) -> float | None:
-    return None if value is None else math.sqrt(value)
 
 
 _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (

@@ -46,6 +46,11 @@ class Estimate(NamedTuple):
     interval: Interval | None = None
     area_weighted: float | None = None
 
+    def root(self) -> Estimate:
+        """Return the square root of a mean square and of all that belongs to it: an estimate of a length."""
+        interval = None if self.interval is None else Interval(*(math.sqrt(max(end, 0.0)) for end in self.interval))
+        return Estimate(_root(self.value), _root(self.floor), interval, _root(self.area_weighted))
+
 
 _UNKNOWN = Estimate()
 
@@ -63,8 +68,9 @@ class DirectedMetric:
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
     def root(self) -> DirectedMetric:
-        """Return the square roots of both values: a mean square as a length."""
-        return DirectedMetric(Estimate(_root(self.accuracy.value)), Estimate(_root(self.completeness.value)))
+        """Return the square roots of all values, with their floors and intervals: a mean square as a length."""
+        larger = None if self.symmetric_max is None else self.symmetric_max.root()
+        return DirectedMetric(self.accuracy.root(), self.completeness.root(), larger)
 
 
 class Extremes(NamedTuple):

@@ -60,6 +60,7 @@ LABELS = {  # by metric, or metric/variant
     "d2_rms": Label("D2 RMS"),
     "plane_distance_median": Label("median, signed", 1),
     "plane_distance_std": _STD,
+    "offset": Label("offset from the surface", 1),
     "plane_distance_nmad": _NMAD,
     "mean_distance": Label("mean distance"),
     "mean_distance_floor": _FLOOR,
@@ -120,6 +121,7 @@ _MAP_HEADLINES = {key: Headline(f"{{title}}: {key}", is_optional=True) for key i
 # Ranks of columns that are no quantities: on the terminal by priority, on the page by their place among the others.
 TERMINAL_RANKS = {"pose": 0, "deformation": 2, "overlap": 4, "deformed RMS": 7, "points": 8}
 PAGE_RANKS = {"deformation": 3, "points measured": 20, "registration RMSE": 21, "overlap": 22}
+_PRESET_RANKS = (3, 3)  # of presets that were asked for, like the F-score
 _SECOND_COLUMN = (REFERENCE_TO_CANDIDATE, "a_to_b")  # directions in the column r→c; the a of a preset is the reference
 _LARGER_OF_BOTH = ("symmetric_max", "symmetric")  # directions without a line
 _SAME_LINE = {"recall": "precision"}  # metrics in the line of another one
@@ -165,6 +167,12 @@ class Line(NamedTuple):
     ) -> Line:
         """Return a line with a text for each candidate, and the same text in the second column of all."""
         return cls(label, [(LineCell(text), LineCell(second)) for text in texts], level, rank)
+
+    @property
+    def with_intervals(self) -> Line:
+        """The line with the interval of each cell in its text."""
+        cells = [(LineCell(first.with_interval), LineCell(second.with_interval)) for first, second in self.cells]
+        return self._replace(cells=cells)
 
     @property
     def texts(self) -> list[str]:
@@ -216,6 +224,14 @@ def headline_of(quantity: Quantity) -> Headline | None:
     if headline is None or quantity.direction in _LARGER_OF_BOTH or quantity.group.startswith("preset"):
         return None
     return headline._replace(text=_filled(headline.text, quantity))
+
+
+def preset_headline_of(quantity: Quantity) -> Headline | None:
+    """Return the presentation in the summary of a value of a preset that was asked for; None: it is not in it."""
+    label = label_of(quantity)
+    if label is None or not quantity.group.startswith("preset"):
+        return None
+    return Headline(label.text, column=quantity.variant, ranks=_PRESET_RANKS)
 
 
 def column_of(quantity: Quantity) -> int:

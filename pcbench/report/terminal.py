@@ -57,8 +57,8 @@ def print_comparison(comparison: FinishedComparison, *, full: bool = False, fold
     if unit and full:
         unit += f", mean squares in {comparison.reference.unit}²"
     if full or len(comparison) <= MAX_SIDE_BY_SIDE:
-        rows = lines(comparison) if full else main_lines(comparison)
-        _print_lines(console, [c.name for c in comparison], unit, list(rows))
+        rows = [line and line.with_intervals for line in lines(comparison)] if full else main_lines(comparison)
+        _print_lines(console, [c.name for c in comparison], unit, rows)
     else:
         names, *others = main_columns(comparison, console.width)
         label_width = max(map(columns, [unit, *names.cells]))

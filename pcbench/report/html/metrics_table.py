@@ -81,7 +81,7 @@ def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
     if quantity is None:
         return LineCell()
     text = "0" if quantity.value is not None and abs(quantity.value) <= least else number(quantity.value)
-    interval = quantity.known_interval
+    interval = quantity.interval
     return LineCell(text, None if interval is None else (f"{interval.low:.3g}", f"{interval.high:.3g}"), is_best)
 
 
