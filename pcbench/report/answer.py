@@ -104,11 +104,11 @@ def answer(comparison: FinishedComparison) -> list[str]:
 
 
 def _answer(comparison: FinishedComparison) -> list[str]:
-    trusted = [c for c in comparison if not c.registration.doubtful]
-    doubtful = [c for c in comparison if c.registration.doubtful]
+    trusted = [c for c in comparison if c.registration.is_ranked]
+    doubtful = [c for c in comparison if not c.registration.is_ranked]
     writer = _Writer(comparison)
     if not trusted:
-        return [*writer.places([c for c in doubtful if c.registration.is_given]), *writer.of_doubtful(doubtful)]
+        return writer.of_doubtful(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
     return [*writer.places(trusted), *sentences[: _MAX_SENTENCES + any(map(changes_of, trusted))]]

@@ -90,7 +90,7 @@ class _Best:
 
     def __init__(self, comparison: FinishedComparison) -> None:
         self.names = [c.name for c in comparison]
-        self.eligible = {k for k, c in enumerate(comparison) if not c.registration.doubtful}
+        self.eligible = {k for k, c in enumerate(comparison) if c.registration.is_ranked}
         self.tied = {
             (d.metric, frozenset((d.a, d.b))) for d in comparison.differences if d.interval.low <= 0 <= d.interval.high
         }
