@@ -1,4 +1,4 @@
-"""The option --fail-if: end with an exit code of its own if a condition on the results holds."""
+"""The option --fail-if: end with an exit code 3 if a condition on the results holds."""
 
 from __future__ import annotations
 

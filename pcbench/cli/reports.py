@@ -110,19 +110,19 @@ def compare(
     from pcbench.comparison.request import Request, TilingChoice
     from pcbench.measure.settings import Settings
     from pcbench.measure.tiled.settings import TilingSettings
-    from pcbench.options import from_options, options_of
+    from pcbench.options import from_options, options_of, split_names
     from pcbench.report.figures import Figures
 
     viewed = scene_folder(context, scene, cameras)
     tiling = TilingChoice.of(from_options(TilingSettings, given), workspace, is_auto=given["tile_points"] is not None)
     if settings_file is not None:
-        numbers_depend_on = {*options_of(Settings), "max_distance", "skip_bad"}
+        numbers_depend_on = {*options_of(Settings), "max_distance", "skip_bad"} - {"metrics"}
         if reference is not None or any(is_given(context, name) for name in numbers_depend_on):
             raise click.UsageError(
                 "--settings already has the files and the settings: give only options for outputs, and no REFERENCE or"
                 " CANDIDATES"
             )
-        request = Request.repeat(settings_file).with_outputs(tiling, viewed)
+        request = Request.repeat(settings_file, split_names(given["metrics"])).with_outputs(tiling, viewed)
         request = replace(request, figures=request.figures.with_changes(background, color_range, figure_format))
     elif reference is None or not candidates:
         raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")

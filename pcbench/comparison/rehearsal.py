@@ -8,6 +8,7 @@ import numpy as np
 
 from pcbench.comparison.in_memory import compare_in_memory
 from pcbench.geometry.cloud import Cloud
+from pcbench.measure.own_metrics import metric_name
 from pcbench.measure.settings import Settings
 from pcbench.report.document import candidate_values, document
 
@@ -32,6 +33,7 @@ def rehearse(settings: Settings) -> dict[str, Any]:
         for scores in (metrics, *metrics["presets"].values()):
             if "fscore" in scores:
                 scores["fscore"] = []
+    metrics["own"] = {metric_name(metric): None for metric in settings.own_metrics}
     if settings.tolerance is not None:
         metrics["d2_mse"]["sample"] = None
     if maps != settings.maps:

@@ -16,7 +16,7 @@ from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import DirectedValues, Preset
 from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Quantity
-from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 
 _SPREAD_DEFINITIONS = {  # the numbers of a `Spread` of signed values
     "bias": "mean",
@@ -269,6 +269,27 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
             yield replace(blank, metric=key, value=value, path=path)
 
 
+def _own(candidate: Candidate) -> Iterator[Quantity]:
+    """Yield the values of user-defined metrics; keys that are directions are in one line."""
+    for name, result in candidate.metrics.own.items():
+        blank = Quantity(
+            f"own.{name}", "", result.definition, None, unit="", path=("metrics", "own", name), group="own"
+        )
+        if not result.values:
+            yield blank
+        for key, value in result.values.items():
+            yield replace(
+                blank,
+                direction=key if key in ARROWS else "",
+                variant="" if key in ARROWS else key,
+                value=value.value,
+                unit=value.unit,
+                interval=None if value.interval is None else Interval(*value.interval),
+                has_interval=value.interval is not None,
+                path=(*blank.path, key) if key else blank.path,
+            )
+
+
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
     deformation = candidate.deformation
@@ -330,6 +351,7 @@ _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
     _chamfer,
     _fscores,
     _presets,
+    _own,
     _deformation,
     _survey,
 )

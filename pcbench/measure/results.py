@@ -22,6 +22,7 @@ from pcbench.measure.checkpoints.accuracy import CandidateAccuracy, CloudAccurac
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
+from pcbench.measure.own_metrics import OwnResult
 from pcbench.measure.presets import Preset
 from pcbench.registration import Registration
 
@@ -184,6 +185,7 @@ class Metrics:
             normals, of `plane_distance` (signed, to the reference's tangent planes).
         d2_samples: sample of each direction in which D2 was estimated, see `Settings.tolerance`. All distances to
             tangent planes are estimated from it.
+        own: user-defined metrics by name, see `Settings.metrics`.
     """
 
     directed: Mapping[str, DirectedMetric]
@@ -195,6 +197,7 @@ class Metrics:
     presets: Mapping[str, Preset] = field(default_factory=dict)
     spreads: Mapping[str, DirectedSpread] = field(default_factory=dict)
     d2_samples: Mapping[str, SampledMean] = field(default_factory=dict)
+    own: Mapping[str, OwnResult] = field(default_factory=dict)
 
     @property
     def d1_mse(self) -> DirectedMetric:

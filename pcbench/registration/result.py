@@ -29,7 +29,7 @@ DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surround
 MIRRORED = "mirrored"  # no rotation aligns the candidate, but its reflection fits
 BLURRED = "blurred"  # noise or blur hides how well the pose fits, but restarts return to it
 
-# Codes of warnings about clouds that cannot belong together as they are, whoever gives the pose.
+# Codes of warnings about clouds that cannot belong together as they are, even in a given pose.
 _IMPLAUSIBLE_CODES = frozenset((FAR_OFF, UNIT_MISMATCH, MIRRORED))
 # Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
 _DOUBT_CODES = frozenset(

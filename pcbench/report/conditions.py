@@ -47,7 +47,7 @@ _FORM = "expected NAME OPERATOR NUMBER, such as 'd2_rms.c2r > 0.2', joined by an
 
 
 class NamedValues(NamedTuple):
-    """What conditions are tested on: a candidate, an epoch or a cloud.
+    """Values on which conditions are tested: those of a candidate, an epoch or a cloud.
 
     Attributes:
         name: its name in messages; empty if there is only one.

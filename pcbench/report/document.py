@@ -167,7 +167,7 @@ def _measurements(candidate: Candidate) -> dict[str, Any]:
     m, deviation = candidate.metrics, candidate.deviation
     lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}
     tree: dict[str, Any] = {
-        "metrics": {"fscore": [], "spreads": {}, "presets": lists},
+        "metrics": {"fscore": [], "spreads": {}, "presets": lists, "own": {}},
         "budget": None,
         "deviation": {"maps": {}, "m3c2": None},
     }

@@ -23,7 +23,7 @@ def data_frame(comparison: FinishedComparison) -> Any:
 
 
 def latex_table(comparison: FinishedComparison) -> str:
-    """Return the main metrics as a LaTeX table with two columns per candidate and their intervals; it needs booktabs."""
+    """Return the main metrics as a LaTeX table with two columns per candidate and intervals; it needs booktabs."""
     names = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison)
     unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
     text = [

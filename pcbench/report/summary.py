@@ -16,10 +16,10 @@ from pcbench.report.layout import (
     LineCell,
     LineQuantities,
     arrange,
+    asked_headline_of,
     column_of,
     headline_of,
     line_key,
-    preset_headline_of,
 )
 from pcbench.report.words import UNKNOWN, columns, number, rounding_limit, shorten_name
 
@@ -55,11 +55,12 @@ def main_lines(comparison: FinishedComparison) -> list[Line]:
 
     always: list[Line] = []
     optional: list[Line] = []
-    presets: list[Line] = []
+    asked: list[Line] = []
+    asked_groups = _asked_groups(comparison)
     for headline, line in headline_lines(comparison):
         if has_details or not headline.level or line.first.threshold is None:
-            is_preset = line.first.group.startswith("preset")
-            group = presets if is_preset else optional if headline.is_optional else always
+            group = optional if headline.is_optional else always
+            group = asked if line.first.group in asked_groups else group
             group.append(Line(headline.text, line.cells(cell), headline.level))
     methods = {c.registration.method.partition(":")[0] for c in candidates}
     method = "registration" if len(methods) > 1 else methods.pop()
@@ -78,7 +79,7 @@ def main_lines(comparison: FinishedComparison) -> list[Line]:
         sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
         lines.append(Line.of_texts("RMS", map(show, sizes), 1))
         lines.append(Line.of_texts("detectable RMS", map(show, limits), 1))
-    return [*lines, *optional[: _MAX_ROWS - len(lines)], *presets]
+    return [*lines, *optional[: _MAX_ROWS - len(lines)], *asked]
 
 
 def headline_lines(comparison: FinishedComparison) -> list[tuple[Headline, LineQuantities]]:
@@ -90,14 +91,19 @@ def headline_lines(comparison: FinishedComparison) -> list[tuple[Headline, LineQ
 
 def _headlines(comparison: FinishedComparison) -> Callable[[Quantity], Headline | None]:
     """Return the function that gives the presentation of a quantity in the summary, if it is in it."""
-    asked = {f"preset {name}" for name in comparison.settings.presets}
-    return lambda quantity: preset_headline_of(quantity) if quantity.group in asked else headline_of(quantity)
+    asked = _asked_groups(comparison)
+    return lambda quantity: asked_headline_of(quantity) if quantity.group in asked else headline_of(quantity)
+
+
+def _asked_groups(comparison: FinishedComparison) -> set[str]:
+    """Return the groups of quantities that the user asked for."""
+    return {"own", *(f"preset {name}" for name in comparison.settings.presets)}
 
 
 def main_columns(comparison: FinishedComparison, width: int) -> list[Column]:
     """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
     candidates, show = list(comparison), _length_formatter(comparison, digits=3)
-    pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
+    pose = ["" if c.registration.is_ranked else "doubtful" for c in candidates]
     facts = {
         "points": Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates]),
         "pose": Column(("", "pose"), pose),
@@ -149,6 +155,7 @@ def _quantity_columns(comparison: FinishedComparison, show: LengthFormatter) -> 
         rank = headline.ranks[column_of(quantity)]
         if rank is not None and quantity.threshold in first_threshold:
             below = ARROWS.get(quantity.direction, "") if quantity.threshold is None else f"{quantity.threshold:.3g}"
+            below = headline.below or below
             cells = [text(shown[place][1]) if place in shown else UNKNOWN for shown in by_place]
             yield rank, Column((headline.column, below), cells)
 

@@ -1,4 +1,4 @@
-"""--fail-if: an exit code of its own after the outputs, a line per condition, and refusals before the long work."""
+"""--fail-if: a separate exit code after the outputs, a line per condition, and refusals before the long work."""
 
 import json
 from pathlib import Path

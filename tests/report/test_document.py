@@ -81,7 +81,7 @@ def test_each_printed_value_with_its_interval_is_in_the_document(clouds):
 
 
 def test_each_key_is_explained_on_its_page(clouds):
-    """Those of settings, presets, percentiles and steps have their own pages or are self-explanatory."""
+    """Settings, presets, percentiles and steps have separate pages or explain themselves."""
 
     def keys(node):
         if isinstance(node, dict):
