@@ -11,7 +11,7 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,8 @@ from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.io.named_code import CodeKind, code_file, error_summary
 from pcbench.measure.intervals import Interval
+from pcbench.measure.protocols.protocol import Better, ProtocolScore
+from pcbench.measure.quantity import unit_name
 
 ENTRY_POINT_GROUP = "pcbench.metrics"
 FAILED_METRIC = "failed-metric"
@@ -39,11 +41,13 @@ class MetricValue(NamedTuple):
         value: the value; None: it does not exist for this pair.
         interval: lower and upper end of its 95 % confidence interval; None: unknown.
         unit: its unit, such as `deg`; `length` and `length^2` stand for the unit of the clouds, empty for none.
+        better: whether `lower` or `higher` values are better, for rankings; None: neither.
     """
 
     value: float | None
     interval: tuple[float, float] | None = None
     unit: str = ""
+    better: Better | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +284,20 @@ def own_metrics_between(
     return measure_own(metrics, pair)
 
 
+def own_scores(results: OwnResults, unit: str | None) -> tuple[ProtocolScore, ...]:
+    """Return the values of metrics as scores of a protocol, named as in conditions: `own.NAME` or `own.NAME.KEY`.
+
+    Args:
+        results: the results; a metric that failed has a score without a value.
+        unit: unit of the clouds, if known.
+    """
+    return tuple(
+        ProtocolScore(f"own.{name}.{key}".rstrip("."), value.value, unit_name(value.unit, unit or ""), value.better)
+        for name, result in results.by_name.items()
+        for key, value in (result.values or {"": MetricValue(None)}).items()
+    )
+
+
 def _is_metric(value: Any) -> bool:
     return callable(value) and not inspect.isclass(value)
 
@@ -321,8 +339,10 @@ def _values(returned: Any) -> tuple[dict[str, MetricValue], str]:
             return {}, f"expected an interval of two finite numbers{name}, got {_described(value.interval)}"
         if not isinstance(unit, str):
             return {}, f"expected a unit as text{name}, got {_described(unit)}"
+        if value.better not in (None, *get_args(Better)):
+            return {}, f"expected better as 'lower', 'higher' or None{name}, got {_described(value.better)}"
         interval = None if value.interval is None else Interval(*map(float, value.interval))
-        values[key] = MetricValue(None if value.value is None else float(value.value), interval, unit)
+        values[key] = MetricValue(None if value.value is None else float(value.value), interval, unit, value.better)
     return values, ""
 
 

@@ -51,4 +51,11 @@ class Quantity:
 
     def unit_name(self, length: str) -> str:
         """Return the unit in words; `length` is the unit of lengths."""
-        return {LENGTH: length, SQUARED_LENGTH: f"{length}^2"}.get(self.unit, self.unit)
+        return unit_name(self.unit, length)
+
+
+def unit_name(unit: str, length: str) -> str:
+    """Return a unit in words; `length` is the unit of lengths, empty if it is unknown."""
+    if unit not in (LENGTH, SQUARED_LENGTH) or not length:
+        return "" if unit in (LENGTH, SQUARED_LENGTH) else unit
+    return length if unit == LENGTH else f"{length}^2"

@@ -4,8 +4,8 @@
     comparison  = NAME ( ">" | ">=" | "<" | "<=" | "==" | "!=" ) NUMBER [ "%" ]
 
 A NAME consists of the document's keys with dots between them. `fscore@0.1` is the entry of a list for the threshold
-0.1, `parts[0]` the first entry, and `points[A7]` the one with that `name`. A document is only read, and nothing in a
-condition is ever executed.
+0.1, `parts[0]` the first entry, and `points[A7]` the one with that `name`. The name of an object that has a `value`
+stands for this value. A document is only read, and nothing in a condition is ever executed.
 """
 
 from __future__ import annotations
@@ -183,6 +183,8 @@ def number_of(values: Mapping[str, Any], name: str, inner: Sequence[str] = ()) -
         if not _has(node, step):
             raise InputError(f"there is no {name!r}{_near(name, values, inner)}")
         node = _entry(node, step)
+    if isinstance(node, Mapping) and "value" in node:  # a number with its interval and its unit
+        node = node["value"]
     if isinstance(node, Mapping) and node:
         names = [f"{name}.{_SHORT_NAMES.get(key, key)}" for key in node]
         raise InputError(f"{name!r} has several values: expected one of {_listed(names)}")

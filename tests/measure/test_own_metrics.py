@@ -24,6 +24,7 @@ from pcbench.measure.own_metrics import (
     check_metrics,
     measure_own,
     own_metrics_between,
+    own_scores,
 )
 from pcbench.report import document, html, markdown
 from pcbench.report.exports import TABLES
@@ -153,6 +154,7 @@ def raises(error):
         *map(returns, (np.zeros(3), np.array(np.nan), {}, {"a": None}, {"a b": 1.0}, {"ci": 1.0}, {3: 1.0}, {"a": {}})),
         *map(returns, (MetricValue(1.0, (2.0, 1.0)), MetricValue(1.0, (0.0,)), MetricValue(1.0, (0.0, math.nan)))),
         returns(MetricValue(1.0, None, 3)),
+        returns(MetricValue(1.0, better="more")),
         *map(raises, (ValueError("two\nlines"), SystemExit(3), RecursionError(), MemoryError(), UnicodeError("\x1b"))),
         lambda: 1.0,
     ],
@@ -170,6 +172,19 @@ def test_numbers_of_all_kinds_are_values(clouds, value):
     results, warnings = own_metrics_between([OwnMetric("own", "here:own", returns(value))], *clouds)
     expected = value.value if isinstance(value, MetricValue) else value
     assert (results["own"].value, warnings) == (float(expected), ())
+
+
+def test_values_are_scores_of_a_protocol(clouds):
+    def spread(pair):
+        return {"low": MetricValue(1.0, unit="length^2", better="lower"), "count": 3}
+
+    results, _ = measured = own_metrics_between(check_metrics([mean, spread, broken]), *clouds)
+    scores = own_scores(measured, "m")
+    assert [score.name for score in scores] == ["own.mean", "own.spread.low", "own.spread.count", "own.broken"]
+    assert scores[0] == ("own.mean", results["mean"].value, "m", None)
+    assert scores[1] == ("own.spread.low", 1.0, "m^2", "lower")
+    assert scores[3].value is None
+    assert own_scores(measured, None)[0].unit == ""
 
 
 def test_ctrl_c_ends_a_metric(clouds):

@@ -17,6 +17,7 @@ VALUES = {
     "wave": None,
     "changes": [],
     "parts": [{"name": "a b", "net": [1.5, 1.0, 2.0]}, {"name": "7", "net": [2.5, 2.0, 3.0]}],
+    "noise": {"value": 0.02, "low": 0.01, "high": 0.03},
     "matrix": [[1.0, 2.0], [3.0, 4.0]],
     "metrics": {
         "d2_rms": {"candidate_to_reference": 0.31, "reference_to_candidate": None, "floor": {"symmetric_max": 0.1}},
@@ -47,6 +48,8 @@ VALUES = {
         ("parts[7].net[0]", 2.5),  # a name comes before an index
         ("parts[6].net[0]", None),  # lists differ in length
         ("matrix[1][0]", 3.0),
+        ("noise", 0.02),
+        ("noise.low", 0.01),
         ("wave.length", None),
         ("changes[0].volume", None),
     ],
