@@ -146,6 +146,21 @@ def test_a_small_overlap_is_printed_above_the_numbers(run_compare):
     assert "--crop reference" not in " ".join(above_cropped)
 
 
+def test_full_prints_intervals_if_they_fit(six_candidates, monkeypatch, capsys):
+    one = replace(six_candidates, candidates=six_candidates.candidates[:1])
+    rms = one["a"].metrics.d2_rms.accuracy
+    text = f"{rms.value:.4g} [{rms.interval.low:.4g}, {rms.interval.high:.4g}]"
+    for width, fits in (("80", False), ("140", True), (None, True)):
+        if width is None:
+            monkeypatch.delenv("COLUMNS")
+        else:
+            monkeypatch.setenv("COLUMNS", width)
+        print_comparison(one, full=True)
+        out = capsys.readouterr().out
+        assert (text in out) == fits
+        assert f"{rms.value:.4g}" in out
+
+
 def test_full_prints_all_metrics(run_compare):
     _, _, _, out = run_compare("a", "b", options=["--full"])
     for label in ("Chamfer, sum of means", "mpeg: d1_psnr", "  median, signed", "  standard deviation", "  NMAD"):
