@@ -98,7 +98,8 @@ class _Best:
     def of(self, line: LineQuantities) -> set[tuple[int, int]]:
         """Return the candidate and the direction of each best value."""
         metric = line.first.metric
-        if metric not in _RANKED or len(self.eligible) < 2:
+        is_tested = bool(line.first.tested_difference)  # not the F-score of a preset
+        if metric not in _RANKED or not is_tested or len(self.eligible) < 2:
             return set()
         winners: set[tuple[int, int]] = set()
         for direction in (0, 1):
