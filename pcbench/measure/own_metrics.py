@@ -72,7 +72,7 @@ class MeasuredWay:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPair:
-    """What a metric gets: an aligned pair with the closest points in both directions. All arrays are read-only.
+    """Argument of a metric: an aligned pair with the closest points in both directions. All arrays are read-only.
 
     Attributes:
         candidate: (K, 3) all points of the aligned candidate.
