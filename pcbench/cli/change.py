@@ -5,16 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.conditions import check_names_of, fail_if_any, fail_if_option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
 from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import FILE, background_option, format_option, no_figures_option, quiet_option
 from pcbench.cli.settings_command import SettingsCommand
 from pcbench.errors import InputError
+
+if TYPE_CHECKING:
+    from pcbench.report.conditions import Condition
 
 
 @click.command(
@@ -52,6 +56,7 @@ from pcbench.errors import InputError
     help="Memory that may be used, such as 4GiB or 500MB: cells become larger if they do not fit.",
 )
 @json_option("change.json")
+@fail_if_option("a change in change.json", "whole.volumes.net[0] > 50")
 @no_figures_option("pictures and sheets")
 @background_option
 @format_option
@@ -64,6 +69,7 @@ def change(
     points: tuple[str, ...],
     memory: str,
     json_file: str | None,
+    fail_if: tuple[Condition, ...],
     no_figures: bool,
     background: str | None,
     figure_format: str | None,
@@ -83,10 +89,13 @@ def change(
     from pcbench.measure.dem.settings import ChangeSettings, parse_line, parse_place
     from pcbench.measure.tiled.settings import parse_bytes
     from pcbench.options import from_options
+    from pcbench.report.change.document import ChangeRecord
+    from pcbench.report.conditions import NamedValues
     from pcbench.report.figures import Figures
 
     if len(epochs) < 2:
         raise click.UsageError(f"expected at least two epochs, got {len(epochs)}: pcbench change before.laz after.laz")
+    check_names_of(ChangeRecord, fail_if)
     settings = replace(
         from_options(ChangeSettings, given),
         profiles=tuple(parse_line("--profile", text) for text in profiles),
@@ -114,6 +123,8 @@ def change(
             click.echo()
             click.echo(name_files("report", out, *(["change.pdf"] if (out / "change.pdf").is_file() else []), "maps/"))
     warn_of_missing(outcome)
+    if fail_if:
+        fail_if_any(fail_if, [NamedValues(each["epoch"], each) for each in document.values()["changes"]])
 
 
 def _date(text: str) -> date:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.conditions import check_names_of, fail_if_any, fail_if_option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, background_option, no_figures_option, quiet_option
 from pcbench.cli.settings_command import SettingsCommand
+
+if TYPE_CHECKING:
+    from pcbench.report.conditions import Condition
+
+_OMITTED_KEYS = ("accuracy",)  # that names in conditions may omit
 
 
 @click.command(
@@ -23,6 +29,7 @@ from pcbench.cli.settings_command import SettingsCommand
 @click.argument("points", type=FILE)
 @click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the page, the table, the map and the charts.")
 @json_option("checkpoints.json")
+@fail_if_option("checkpoints.json", "every.errors.rmse > 0.1")
 @no_figures_option()
 @background_option
 @quiet_option
@@ -31,6 +38,7 @@ def checkpoints(
     points: Path,
     out: Path | None,
     json_file: str | None,
+    fail_if: tuple[Condition, ...],
     no_figures: bool,
     background: str | None,
     quiet: bool,
@@ -49,11 +57,13 @@ def checkpoints(
     from pcbench.measure.checkpoints.settings import CheckPointSettings
     from pcbench.options import from_options
     from pcbench.report.checkpoints import statistics_rows
+    from pcbench.report.conditions import NamedValues
     from pcbench.report.figures import Figures
     from pcbench.report.terminal import print_columns
-    from pcbench.studies.checkpoints.results import CSV, KIND
+    from pcbench.studies.checkpoints.results import CSV, KIND, CheckPointStudy
     from pcbench.studies.checkpoints.study import run_checkpoints
 
+    check_names_of(CheckPointStudy, fail_if, _OMITTED_KEYS)
     settings = from_options(CheckPointSettings, given)
     look = None if no_figures else Figures().with_changes(background, None, None)
     output = JsonOutput(json_file)
@@ -61,7 +71,8 @@ def checkpoints(
     with steps(quiet) as step:
         outcome = run_checkpoints(cloud, points, settings, out, figures=look, step=step)
     study = outcome.study
-    output.write(KIND.values(study))
+    values = KIND.values(study)
+    output.write(values)
     if not quiet:
         for warning in study.warnings:
             warn(warning)
@@ -76,3 +87,4 @@ def checkpoints(
         else:
             click.echo(name_files("report", out, CSV, KIND.document, KIND.markdown))
     warn_of_missing(outcome)
+    fail_if_any(fail_if, [NamedValues("", values)], _OMITTED_KEYS)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.conditions import fail_if_any, fail_if_option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
 from pcbench.cli.messages import notice_unless, steps, warn, warn_of_missing, warn_unless
@@ -32,6 +34,7 @@ from pcbench.errors import InputError
 if TYPE_CHECKING:
     from pcbench.comparison.request import Request
     from pcbench.comparison.result import Comparison
+    from pcbench.report.conditions import Condition
     from pcbench.report.figures import Figures
     from pcbench.report.viewing import SceneFolder
 
@@ -60,6 +63,7 @@ if TYPE_CHECKING:
     help="Repeat the comparison that a report's settings.json describes.",
 )
 @json_option("comparison.json")
+@fail_if_option("a candidate in comparison.json", "d2_rms.c2r > 0.2")
 @click.option(
     "--table",
     type=click.Choice(["latex", "markdown", "csv"]),
@@ -83,6 +87,7 @@ def compare(
     workspace: Path | None,
     settings_file: Path | None,
     json_file: str | None,
+    fail_if: tuple[Condition, ...],
     table: str | None,
     scene: Path | None,
     cameras: str,
@@ -105,19 +110,19 @@ def compare(
     from pcbench.comparison.request import Request, TilingChoice
     from pcbench.measure.settings import Settings
     from pcbench.measure.tiled.settings import TilingSettings
-    from pcbench.options import from_options, options_of
+    from pcbench.options import from_options, options_of, split_names
     from pcbench.report.figures import Figures
 
     viewed = scene_folder(context, scene, cameras)
     tiling = TilingChoice.of(from_options(TilingSettings, given), workspace, is_auto=given["tile_points"] is not None)
     if settings_file is not None:
-        numbers_depend_on = {*options_of(Settings), "max_distance", "skip_bad"}
+        numbers_depend_on = {*options_of(Settings), "max_distance", "skip_bad"} - {"metrics"}
         if reference is not None or any(is_given(context, name) for name in numbers_depend_on):
             raise click.UsageError(
                 "--settings already has the files and the settings: give only options for outputs, and no REFERENCE or"
                 " CANDIDATES"
             )
-        request = Request.repeat(settings_file).with_outputs(tiling, viewed)
+        request = Request.repeat(settings_file, split_names(given["metrics"])).with_outputs(tiling, viewed)
         request = replace(request, figures=request.figures.with_changes(background, color_range, figure_format))
     elif reference is None or not candidates:
         raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -127,7 +132,9 @@ def compare(
         request = Request.of(reference, candidates, settings, figures=figures, scene=viewed, tiles=tiling)
     if table is not None and (full or json_file == "-"):
         raise click.UsageError("--table prints only a table: omit --full, and give --json a file")
-    compare_and_print(request, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
+    compare_and_print(
+        request, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table, fail_if=fail_if
+    )
 
 
 def compare_and_print(
@@ -139,15 +146,22 @@ def compare_and_print(
     quiet: bool,
     full: bool = False,
     table: str | None = None,
+    fail_if: Sequence[Condition] = (),
 ) -> Comparison:
-    """Compare files, write the outputs, and print the answer, a table or the JSON document."""
+    """Compare files, write the outputs, print the answer, a table or the JSON document, and test conditions."""
     from pcbench.comparison.run import Outputs, run
     from pcbench.report import document, print_comparison
+    from pcbench.report.conditions import check_names
+    from pcbench.report.document import OMITTED_KEYS, candidate_values
     from pcbench.report.exports import TABLES
     from pcbench.report.notes import warnings
 
     output = JsonOutput(json_file)
     output.check(request.files, folder=out)
+    if fail_if:
+        from pcbench.comparison.rehearsal import rehearse
+
+        check_names(fail_if, rehearse(request.settings), OMITTED_KEYS)
     with steps(quiet) as step:
         outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet))
     for text in warnings(outcome.comparison):
@@ -161,6 +175,8 @@ def compare_and_print(
     elif not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     warn_of_missing(outcome)
+    if fail_if:
+        fail_if_any(fail_if, candidate_values(document(outcome.comparison)), OMITTED_KEYS)
     return outcome.comparison
 
 

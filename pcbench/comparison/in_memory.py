@@ -26,6 +26,7 @@ from pcbench.measure.intervals import CorrelationCells
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.offset import SignedOffset, signed_offset
+from pcbench.measure.own_metrics import MeasuredPair, OwnMetric, OwnResults, measure_own
 from pcbench.measure.pair import (
     AlignedCandidate,
     Matched,
@@ -259,6 +260,25 @@ class PairInMemory:
             name: measure_preset(name, pair, self.thresholds, to_poisson=to_poisson, mpeg_peak=self.settings.mpeg_peak)
             for name in self.settings.measured_presets
         }
+
+    def own_metrics(self) -> OwnResults:
+        """Return the user-defined metrics, of points minus the reference's origin."""
+        metrics = tuple(map(OwnMetric.of, self.settings.own_metrics))
+        if not metrics:
+            return OwnResults({}, ())
+        reference, is_cropped = self.reference, self.reference.region is not None
+        pair = MeasuredPair.of(
+            self.aligned.index.points,
+            reference.points,
+            self.matched.forth,
+            self.matched.back,
+            normals=reference.surface.compute_normals(None) if reference.has_normals else None,
+            origin=reference.origin,
+            unit=reference.cloud.unit,
+            candidate_rows=np.flatnonzero(self.aligned.inside) if is_cropped else None,
+            reference_rows=reference.rows,
+        )
+        return measure_own(metrics, pair)
 
     def _with_normals(self, pair: CroppedPair) -> CroppedPair:
         """Return a cropped pair with the reference's normals, computed and as given, if there are any."""

@@ -33,6 +33,7 @@ from pcbench.measure.budget import FitFrame
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells
 from pcbench.measure.offset import SignedOffset
+from pcbench.measure.own_metrics import OwnResults
 from pcbench.measure.presets import Preset
 from pcbench.measure.results import (
     CANDIDATE_TO_REFERENCE,
@@ -412,6 +413,10 @@ class PairInTiles:
     def presets(self, deviation: DeviationMap) -> Mapping[str, Preset]:
         """Return the metrics as other tools define them, as far as tiles support them."""
         return measure_presets(self.tasks, self.pair, self.directions, self.prepared.region, self.stage, self.name)
+
+    def own_metrics(self) -> OwnResults:
+        """Return no user-defined metrics, because they get complete clouds."""
+        return OwnResults({}, ())
 
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""

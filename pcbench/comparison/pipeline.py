@@ -20,6 +20,7 @@ from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.differences import paired_differences
 from pcbench.measure.intervals import CorrelationCells
 from pcbench.measure.offset import SignedOffset
+from pcbench.measure.own_metrics import OwnResults
 from pcbench.measure.presets import Preset
 from pcbench.measure.results import Candidate, Difference, DirectedBudget
 from pcbench.measure.scores import Measurement, measure
@@ -102,6 +103,9 @@ class AlignedPair(Protocol):
     def presets(self, deviation: DeviationMap) -> Mapping[str, Preset]:
         """Return the metrics as other tools define them, by name."""
 
+    def own_metrics(self) -> OwnResults:
+        """Return the user-defined metrics."""
+
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""
 
@@ -174,6 +178,8 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
         deviation, completeness = pair.maps()
     with record_time(timings, "presets"):
         presets = pair.presets(deviation)
+    with record_time(timings, "own_metrics"):
+        own = pair.own_metrics()
     step(f"{name}: testing for deformation")
     with record_time(timings, "deformation"):
         deformation = pair.assess_deformation()
@@ -186,7 +192,7 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
         points=pair.points,
         points_in_region=pair.points_in_region,
         registration=pair.registration,
-        metrics=replace(measurement.metrics, presets=presets),
+        metrics=replace(measurement.metrics, presets=presets, own=own.by_name),
         deviation=deviation,
         completeness=completeness,
         deformation=deformation,
@@ -198,6 +204,7 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
             *crs_warnings(reference.crs, pair.crs),
             *measurement.warnings,
             *pair.warnings(deviation),
+            *own.warnings,
         ),
         censored=pair.censored,
         offset=pair.offset,

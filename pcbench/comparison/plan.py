@@ -21,6 +21,7 @@ from pcbench.geometry.datums import StatedSystem
 from pcbench.io.contents import FileState, file_states
 from pcbench.io.pieces import CloudOnDisk, read_piece
 from pcbench.io.source import Source
+from pcbench.measure.own_metrics import metric_name
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.nearby import MAX_NEAR_POINTS
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
@@ -200,6 +201,8 @@ def _unsupported(request: Request) -> str | None:
         return f"the preset {others[0]} (--preset)"
     if settings.mpeg_peak is not None:
         return "the preset mpeg (--mpeg-peak)"
+    if settings.metrics:
+        return f"user-defined metrics (--metric {metric_name(settings.own_metrics[0])})"
     if settings.tolerance is not None:
         return "--tolerance"
     if isinstance(as_method(settings.register), TrajectorySettings):

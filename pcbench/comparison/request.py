@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +17,9 @@ from pcbench.io import CloudLike, is_path
 from pcbench.io.contents import digest
 from pcbench.io.files import errors_named
 from pcbench.io.las_records import parse_filters
+from pcbench.io.named_code import code_file
 from pcbench.io.source import Source
+from pcbench.measure.own_metrics import OwnMetric, metric_name
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.report.figures import Figures, recorded_figures
@@ -141,13 +144,18 @@ class Request:
         return request
 
     @classmethod
-    def repeat(cls, settings_file: Path) -> Request:
+    def repeat(cls, settings_file: Path, metrics: Sequence[str] = ()) -> Request:
         """Return the request that a report's settings.json describes.
 
+        Args:
+            settings_file: the file.
+            metrics: user-defined metrics that may be run. The file may come from somebody else, so it does not suffice.
+
         Raises:
-            InputError: the file is damaged; or as `of`.
+            InputError: the file is damaged, or names other metrics; or as `of`.
         """
         settings, inputs = read_settings(settings_file)
+        _check_permitted(settings_file, settings.own_metrics, metrics)
         scene: SceneFolder | ViewingCameras | None = inputs.scene
         cameras_file, cameras = settings_file.parent / CAMERAS_FILE, None
         if inputs.scene is not None and cameras_file.is_file():
@@ -200,6 +208,23 @@ class Request:
         clouds = [file for source in self.sources for file in source.files]
         scene = self.scene.paths() if isinstance(self.scene, SceneFolder) else []
         return [*clouds, *self.settings.files, *scene]
+
+
+def _check_permitted(settings_file: Path, recorded: Sequence[str | OwnMetric], permitted: Sequence[str]) -> None:
+    """Check that the user names the metrics whose code settings.json would run."""
+
+    def absolute(spec: str) -> str:
+        file = code_file(spec)
+        return spec if file is None else f"{file.absolute()}:{metric_name(spec)}"
+
+    texts = [metric if isinstance(metric, str) else metric.text for metric in recorded]
+    if sorted(texts) != sorted(map(absolute, permitted)):
+        needed = " ".join(f"--metric {shlex.quote(text)}" for text in texts)
+        raise InputError(
+            f"{settings_file}: it names metrics whose code would run: if you trust them, add {needed}"
+            if texts
+            else f"{settings_file}: expected no --metric, because the comparison had none"
+        )
 
 
 def _open(given: Any, settings: Settings, *, vertices: bool = False) -> Input:

@@ -71,6 +71,26 @@ def from_json(kind: type[T], value: Any) -> T:
     return converted
 
 
+def json_example(kind: Any) -> Any:
+    """Return JSON values with the keys of a type, of which all values are null and lists have one entry.
+
+    Args:
+        kind: a type as for `from_json`. A mapping, whose keys are data, is null too.
+    """
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(part for part in get_args(kind) if part is not NoneType)
+    if isinstance(kind, type) and is_dataclass(kind):
+        example: dict[str, Any] = {}
+        for name, field_type in _types_of(kind).items():
+            example |= json_example(field_type) if _is_flat(kind, name) else {name: json_example(field_type)}
+        return example
+    if get_origin(kind) is tuple:
+        return [json_example(part) for part in get_args(kind) if part is not ...]
+    if isinstance(kind, type) and issubclass(kind, tuple):  # a named tuple, which is an array
+        return [json_example(part) for part in get_type_hints(kind).values()]
+    return "" if kind is str else None
+
+
 def _converted(kind: Any, value: Any) -> Any:
     if get_origin(kind) in (Union, UnionType):
         if value is None and NoneType in get_args(kind):

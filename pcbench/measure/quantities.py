@@ -5,7 +5,6 @@ comparison.json, metrics.csv, the table, the summary and the sentences on differ
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
@@ -18,7 +17,7 @@ from pcbench.measure.intervals import Interval
 from pcbench.measure.library_presets import DirectedValues
 from pcbench.measure.presets import Preset
 from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Quantity
-from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 
 _SPREAD_DEFINITIONS = {  # the numbers of a `Spread` of signed values
     "bias": "mean",
@@ -47,7 +46,10 @@ def _means(candidate: Candidate) -> Iterator[Quantity]:
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             yield from _mean(directed[direction], metric, direction)
         if directed.symmetric_max is not None:
-            yield _estimated(metric.name, "symmetric_max", metric.definition, directed.symmetric_max, metric.unit)
+            larger = _estimated(metric.name, "symmetric_max", metric.definition, directed.symmetric_max, metric.unit)
+            yield larger
+            if metric.root_name is not None:
+                yield _root_of(larger, metric.root_name, directed.symmetric_max)
         if (kind := _SPREAD_OF.get(metric.name)) in candidate.metrics.spreads:
             yield from _distribution(candidate, str(kind))
 
@@ -74,20 +76,28 @@ def _mean(estimate: Estimate, metric: MeanMetric, direction: str) -> Iterator[Qu
     )
     if metric.root_name is None:
         return
-    yield Quantity(
-        metric.root_name,
-        direction,
-        f"root {text}",
-        _root(estimate.value),
-        path=("metrics", metric.root_name, direction),
-        square=mean,
-    )
+    yield _root_of(mean, metric.root_name, estimate)
     yield Quantity(
         f"{metric.root_name}_floor",
         direction,
         f"root of the sampling floor of: {text}",
-        _root(estimate.floor),
+        estimate.root().floor,
         path=("metrics", metric.root_name, "floor", direction),
+    )
+
+
+def _root_of(square: Quantity, name: str, estimate: Estimate) -> Quantity:
+    """Return the root of a mean square, with the roots of the ends of its interval."""
+    root = estimate.root()
+    return Quantity(
+        name,
+        square.direction,
+        f"root {square.definition}",
+        root.value,
+        interval=root.interval,
+        has_interval=True,
+        path=("metrics", name, square.direction),
+        square=square,
     )
 
 
@@ -103,6 +113,11 @@ def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
                 value,
                 path=("metrics", "spreads", kind, direction, key),
             )
+    if kind == "plane_distance" and candidate.offset is not None:
+        text = "median signed distance to the tangent plane, of the points near the surface"
+        yield Quantity(
+            "offset", CANDIDATE_TO_REFERENCE, text, candidate.offset.median, interval=candidate.offset.interval
+        )
 
 
 def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
@@ -255,6 +270,27 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
             yield replace(blank, metric=key, value=value, path=path)
 
 
+def _own(candidate: Candidate) -> Iterator[Quantity]:
+    """Yield the values of user-defined metrics; keys that are directions are in one line."""
+    for name, result in candidate.metrics.own.items():
+        blank = Quantity(
+            f"own.{name}", "", result.definition, None, unit="", path=("metrics", "own", name), group="own"
+        )
+        if not result.values:
+            yield blank
+        for key, value in result.values.items():
+            yield replace(
+                blank,
+                direction=key if key in ARROWS else "",
+                variant="" if key in ARROWS else key,
+                value=value.value,
+                unit=value.unit,
+                interval=None if value.interval is None else Interval(*value.interval),
+                has_interval=value.interval is not None,
+                path=(*blank.path, key) if key else blank.path,
+            )
+
+
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
     deformation = candidate.deformation
@@ -308,10 +344,6 @@ def _estimated(
     )
 
 
-def _root(value: float | None) -> float | None:
-    return None if value is None else math.sqrt(value)
-
-
 _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
     _means,
     _largest_distances,
@@ -320,6 +352,7 @@ _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
     _chamfer,
     _fscores,
     _presets,
+    _own,
     _deformation,
     _survey,
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from pcbench.measure.intervals import Interval
@@ -50,16 +49,13 @@ class Quantity:
         """Name of the difference by which candidates are ranked: a root has the order of its mean square."""
         return self.difference if self.square is None else self.square.difference
 
-    @property
-    def known_interval(self) -> Interval | None:
-        """95 % confidence interval; that of a root follows from its mean square."""
-        return self.interval if self.square is None else root_interval(self.square.interval)
-
     def unit_name(self, length: str) -> str:
         """Return the unit in words; `length` is the unit of lengths."""
-        return {LENGTH: length, SQUARED_LENGTH: f"{length}^2"}.get(self.unit, self.unit)
+        return unit_name(self.unit, length)
 
 
-def root_interval(interval: Interval | None) -> Interval | None:
-    """Return the interval of a root from that of the mean square; None if it is unknown."""
-    return None if interval is None else Interval(*(math.sqrt(max(end, 0.0)) for end in interval))
+def unit_name(unit: str, length: str) -> str:
+    """Return a unit in words; `length` is the unit of lengths, empty if it is unknown."""
+    if unit not in (LENGTH, SQUARED_LENGTH) or not length:
+        return "" if unit in (LENGTH, SQUARED_LENGTH) else unit
+    return length if unit == LENGTH else f"{length}^2"

@@ -22,6 +22,7 @@ from pcbench.measure.checkpoints.accuracy import CandidateAccuracy, CloudAccurac
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
+from pcbench.measure.own_metrics import OwnResult
 from pcbench.measure.presets import Preset
 from pcbench.registration import Registration
 
@@ -46,6 +47,11 @@ class Estimate(NamedTuple):
     interval: Interval | None = None
     area_weighted: float | None = None
 
+    def root(self) -> Estimate:
+        """Return the square root of a mean square and of all that belongs to it: an estimate of a length."""
+        interval = None if self.interval is None else Interval(*(math.sqrt(max(end, 0.0)) for end in self.interval))
+        return Estimate(_root(self.value), _root(self.floor), interval, _root(self.area_weighted))
+
 
 _UNKNOWN = Estimate()
 
@@ -63,8 +69,9 @@ class DirectedMetric:
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
     def root(self) -> DirectedMetric:
-        """Return the square roots of both values: a mean square as a length."""
-        return DirectedMetric(Estimate(_root(self.accuracy.value)), Estimate(_root(self.completeness.value)))
+        """Return the square roots of all values, with their floors and intervals: a mean square as a length."""
+        larger = None if self.symmetric_max is None else self.symmetric_max.root()
+        return DirectedMetric(self.accuracy.root(), self.completeness.root(), larger)
 
 
 class Extremes(NamedTuple):
@@ -178,6 +185,7 @@ class Metrics:
             normals, of `plane_distance` (signed, to the reference's tangent planes).
         d2_samples: sample of each direction in which D2 was estimated, see `Settings.tolerance`. All distances to
             tangent planes are estimated from it.
+        own: user-defined metrics by name, see `Settings.metrics`.
     """
 
     directed: Mapping[str, DirectedMetric]
@@ -189,6 +197,7 @@ class Metrics:
     presets: Mapping[str, Preset] = field(default_factory=dict)
     spreads: Mapping[str, DirectedSpread] = field(default_factory=dict)
     d2_samples: Mapping[str, SampledMean] = field(default_factory=dict)
+    own: Mapping[str, OwnResult] = field(default_factory=dict)
 
     @property
     def d1_mse(self) -> DirectedMetric:

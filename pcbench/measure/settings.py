@@ -18,8 +18,10 @@ from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
 from pcbench.io.check_points import read_check_points
+from pcbench.io.named_code import code_file
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.measure.own_metrics import MetricFunction, OwnMetric, check_metrics
 from pcbench.options import (
     CLASSES_HELP,
     CROP_HELP,
@@ -40,7 +42,7 @@ from pcbench.registration.control_points import fit_pairs
 from pcbench.registration.given import absolute_text, method_files
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
-RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints")
+RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints", "metrics")
 """Settings that are stored only if they are set."""
 _THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
 
@@ -76,6 +78,8 @@ class Settings:
         initial: initial pose candidate -> reference for ICP, a `Similarity` or 4x4 array; None: the identity.
         checkpoints: file of check points, in the coordinates of the reference, by which the accuracy of all clouds is
             tested, see `pcbench.io.check_points`.
+        metrics: user-defined metrics: functions of a `pcbench.measure.own_metrics.MeasuredPair`, or their texts such as
+            `FILE.py:function`.
     """
 
     register: Method | Similarity | ArrayLike | str = setting(
@@ -176,7 +180,17 @@ class Settings:
         metavar="FILE",
     )
 
+    metrics: tuple[str | MetricFunction | OwnMetric, ...] = setting(
+        (),
+        "--metric",
+        "Also compute this user-defined metric: FILE.py:FUNCTION, MODULE:FUNCTION or the name of an installed one"
+        " (repeatable). Its code runs with your rights.",
+        metavar="WHICH",
+        is_repeatable=True,
+    )
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "metrics", check_metrics(self.metrics))
         if self.checkpoints is not None:
             object.__setattr__(self, "checkpoints", str(self.checkpoints))
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -215,7 +229,7 @@ class Settings:
         object.__setattr__(self, "maps", maps)
 
     def with_files_read(self) -> Settings:
-        """Return the settings with the method and the region that files describe; paths become absolute.
+        """Return the settings with the method, the region and the metrics that files describe; paths become absolute.
 
         Raises:
             InputError: there is no such method, or a file cannot be read.
@@ -230,16 +244,23 @@ class Settings:
         if checkpoints is not None:
             read_check_points(checkpoints)  # a mistake ends the comparison before it begins
             checkpoints = str(Path(checkpoints).absolute())
-        return replace(self, register=register, crop=crop, m3c2=m3c2, checkpoints=checkpoints)
+        metrics = tuple(map(OwnMetric.of, self.metrics))
+        return replace(self, register=register, crop=crop, m3c2=m3c2, checkpoints=checkpoints, metrics=metrics)
 
     @property
     def files(self) -> list[Path]:
-        """Files that the settings name: of the registration, the region, the core points of M3C2 and check points."""
+        """Files that the settings name: of the registration, region, core points of M3C2, check points and metrics."""
         named = self.register if isinstance(self.register, str) else None
         method = as_method(self.register).files if named is None else method_files(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
         check_points = None if self.checkpoints is None else Path(self.checkpoints)
-        return [*method, *filter(None, (region_file(self.crop), cores, check_points))]
+        code = [code_file(metric) if isinstance(metric, str) else metric.path for metric in self.own_metrics]
+        return [*method, *filter(None, (region_file(self.crop), cores, check_points, *code))]
+
+    @property
+    def own_metrics(self) -> tuple[str | OwnMetric, ...]:
+        """User-defined metrics, of which only texts are not yet imported."""
+        return check_metrics(self.metrics)
 
     @property
     def known_pose(self) -> Similarity | None:
@@ -274,8 +295,10 @@ class Settings:
         """Return the settings as JSON values: methods and regions as text; rare ones only if they are set."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
         for name in RARE_SETTINGS:
-            if values[name] in (None, False):
+            if values[name] in (None, False, ()):
                 del values[name]
+        if self.metrics:
+            values["metrics"] = [metric if isinstance(metric, str) else metric.text for metric in self.own_metrics]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
         values["presets"] = self.measured_presets

@@ -6,16 +6,12 @@ its help. A class method `missing() -> str | None` may return the reason why it 
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import inspect
 import math
 import re
-import sys
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints, runtime_checkable
 
@@ -23,8 +19,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
+from pcbench.io.named_code import CodeKind
 from pcbench.registration import SurveyResiduals
-from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
 ENTRY_POINT_GROUP = "pcbench.reconstructors"
@@ -171,82 +167,24 @@ def find_plugin(spec: str) -> Plugin:
     Raises:
         InputError: no reconstructor or several have that name, it cannot be imported, or it is not a reconstructor.
     """
-    module, colon, name = spec.rpartition(":")
-    if colon and module.endswith(".py"):
-        return _check_plugin(spec, str(Path(module)), _get_attribute(spec, _load_file(Path(module)), name))
-    if colon:
-        return _check_plugin(spec, module, _get_attribute(spec, _import(spec, module), name))
-    points = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == spec]
-    if not points:
-        names = ", ".join(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)})) or "none"
-        raise InputError(f"no reconstructor {spec!r} is installed: there are {names}; or give FILE.py:CLASS")
-    if len(points) > 1:
-        packages = " and ".join(sorted(_origin(point) for point in points))
-        raise InputError(f"two reconstructors are named {spec!r}, in {packages}: give MODULE:CLASS instead")
-    return _check_plugin(
-        spec, _origin(points[0]), _get_attribute(spec, _import(spec, points[0].module), points[0].attr)
-    )
+    origin, cls = _RECONSTRUCTORS.find(spec)
+    return _check_plugin(spec, origin, cls)
 
 
 def installed_reconstructors() -> tuple[str, ...]:
     """Return the names of the installed reconstructors, sorted."""
-    return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
+    return _RECONSTRUCTORS.installed_names()
 
 
-def _origin(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist else point.module
+def _is_reconstructor(value: Any) -> bool:
+    return inspect.isclass(value) and callable(getattr(value, "reconstruct", None))
 
 
-def _import(spec: str, module: str) -> types.ModuleType:
-    try:
-        return importlib.import_module(module)
-    except Exception as error:  # a plugin may raise anything while it is imported
-        raise InputError(f"{spec}: {module} cannot be imported: {_summarize_error(error)}") from error
-
-
-def _load_file(path: Path) -> types.ModuleType:
-    try:
-        regular_status(path)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    except OSError:
-        raise InputError(
-            f"{path}: no such file; expected a Python file with a reconstructor, as FILE.py:CLASS"
-        ) from None
-    name = f"pcbench_plugin_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look up their module by name
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise InputError(f"{path}: cannot be imported: {_summarize_error(error)}") from error
-    return module
-
-
-def _summarize_error(error: Exception) -> str:
-    traceback = error.__traceback__
-    while traceback is not None and traceback.tb_next is not None:
-        traceback = traceback.tb_next
-    location = (
-        f" ({traceback.tb_frame.f_code.co_filename}, line {traceback.tb_lineno})" if traceback is not None else ""
-    )
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{location}"
-
-
-def _get_attribute(spec: str, module: types.ModuleType, name: str) -> Any:
-    if not hasattr(module, name):
-        classes = [n for n, v in vars(module).items() if inspect.isclass(v) and callable(getattr(v, "reconstruct", 0))]
-        hint = f"; it has {', '.join(sorted(classes))}" if classes else ""
-        raise InputError(f"{spec}: there is no {name!r} in the module{hint}")
-    return getattr(module, name)
+_RECONSTRUCTORS = CodeKind(ENTRY_POINT_GROUP, "reconstructor", "CLASS", _is_reconstructor)
 
 
 def _check_plugin(spec: str, origin: str, cls: Any) -> Plugin:
-    if not (inspect.isclass(cls) and is_dataclass(cls) and callable(getattr(cls, "reconstruct", None))):
+    if not (inspect.isclass(cls) and is_dataclass(cls) and _is_reconstructor(cls)):
         raise InputError(
             f"{spec}: expected a dataclass with a method reconstruct(self, scene, workspace), got {_describe(cls)}"
         )

@@ -29,6 +29,8 @@ DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surround
 MIRRORED = "mirrored"  # no rotation aligns the candidate, but its reflection fits
 BLURRED = "blurred"  # noise or blur hides how well the pose fits, but restarts return to it
 
+# Codes of warnings about clouds that cannot belong together as they are, even in a given pose.
+_IMPLAUSIBLE_CODES = frozenset((FAR_OFF, UNIT_MISMATCH, MIRRORED))
 # Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
 _DOUBT_CODES = frozenset(
     (FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNKNOWN_SCALE, UNIT_MISMATCH, DOUBTFUL_POSE, MIRRORED)
@@ -127,6 +129,20 @@ class Registration:
     def doubtful(self) -> bool:
         """Return whether any warning says that the pose may be wrong: then no later score can be trusted."""
         return bool(self.doubts)
+
+    @property
+    def is_ranked(self) -> bool:
+        """Return whether scores under this pose are stated and ranked: it is not doubtful, or the user vouches for it.
+
+        Who gives a pose (`none`, `matrix`), as all benchmarks do, asks for the distances in it. Doubts are then notes,
+        and only what cannot be meant stays a warning, such as another unit.
+        """
+        return self.keeps_pose or not self.doubtful
+
+    @property
+    def notes(self) -> tuple[Notice, ...]:
+        """Doubts about a pose that the user gave and vouches for."""
+        return tuple(doubt for doubt in self.doubts if self.keeps_pose and doubt.code not in _IMPLAUSIBLE_CODES)
 
     @property
     def doubts(self) -> tuple[Notice, ...]:

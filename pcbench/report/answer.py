@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from pcbench.measure.budget import MAX_NOISE_RATIO
 from pcbench.measure.intervals import Interval
-from pcbench.measure.quantity import root_interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import (
@@ -105,11 +104,11 @@ def answer(comparison: FinishedComparison) -> list[str]:
 
 
 def _answer(comparison: FinishedComparison) -> list[str]:
-    trusted = [c for c in comparison if not c.registration.doubtful]
-    doubtful = [c for c in comparison if c.registration.doubtful]
+    trusted = [c for c in comparison if c.registration.is_ranked]
+    doubtful = [c for c in comparison if not c.registration.is_ranked]
     writer = _Writer(comparison)
     if not trusted:
-        return [*writer.places([c for c in doubtful if c.registration.is_given]), *writer.of_doubtful(doubtful)]
+        return writer.of_doubtful(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
     return [*writer.places(trusted), *sentences[: _MAX_SENTENCES + any(map(changes_of, trusted))]]
@@ -432,8 +431,8 @@ def _off_surface(candidate: Candidate, *, with_planes: bool) -> _Distance:
     """Return the RMS distance to the reference's surface, or the mean distance to its points."""
     d2, mean = candidate.metrics.d2_mse.accuracy, candidate.metrics.mean_distance.accuracy
     if with_planes and d2.value is not None:
-        floor, interval = None if d2.floor is None else d2.floor**0.5, root_interval(d2.interval)
-        return _Distance(d2.value**0.5, floor, interval, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")
+        rms = d2.root()
+        return _Distance(d2.value**0.5, rms.floor, rms.interval, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")
     metric = f"mean_distance/{CANDIDATE_TO_REFERENCE}"
     return _Distance(mean.value or 0.0, mean.floor, mean.interval, metric, "on average")
 

@@ -6,6 +6,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -25,11 +26,14 @@ from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.registration import Registration
+from pcbench.report.conditions import NamedValues
 from pcbench.report.inputs import FinishedComparison, InputFile
 from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.comparison/1"
 REGISTRATION_SCHEMA = "pcbench.registration/1"
+OMITTED_KEYS = ("metrics",)
+"""Keys of candidates that names in conditions may omit."""
 
 _CODE_PATHS = ("pcbench", "reconstructors", "CMakeLists.txt", "pyproject.toml")
 
@@ -56,6 +60,14 @@ def document(comparison: FinishedComparison) -> dict[str, Any]:
     return plain
 
 
+def candidate_values(values: Mapping[str, Any]) -> list[NamedValues]:
+    """Return the candidates of a comparison's document, on which conditions are tested; each with the reference."""
+    return [
+        NamedValues(candidate["name"], {**candidate, "reference": values["reference"]})
+        for candidate in values["candidates"]
+    ]
+
+
 def registration_document(
     registration: Registration, reference: InputFile, candidate: InputFile, centroid: FloatArray, unit: str | None
 ) -> dict[str, Any]:
@@ -74,7 +86,7 @@ def registration_document(
         "reference": asdict(reference),
         "candidate": asdict(candidate),
         "unit": unit,
-        "registration": {**_registration(registration), "doubtful": registration.doubtful},
+        "registration": _registration(registration),
         "motion": {"at": centroid, **motion._asdict()},
         "provenance": provenance(None),
     }
@@ -155,7 +167,7 @@ def _measurements(candidate: Candidate) -> dict[str, Any]:
     m, deviation = candidate.metrics, candidate.deviation
     lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}
     tree: dict[str, Any] = {
-        "metrics": {"fscore": [], "spreads": {}, "presets": lists},
+        "metrics": {"fscore": [], "spreads": {}, "presets": lists, "own": {}},
         "budget": None,
         "deviation": {"maps": {}, "m3c2": None},
     }
@@ -233,6 +245,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "returned_share": registration.returned_share,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],
+        "doubtful": registration.doubtful,
     }
 
 

@@ -23,7 +23,7 @@ def data_frame(comparison: FinishedComparison) -> Any:
 
 
 def latex_table(comparison: FinishedComparison) -> str:
-    """Return the main metrics as a LaTeX table with two columns per candidate; it needs the package booktabs."""
+    """Return the main metrics as a LaTeX table with two columns per candidate and intervals; it needs booktabs."""
     names = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison)
     unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
     text = [
@@ -35,7 +35,7 @@ def latex_table(comparison: FinishedComparison) -> str:
     ]
     for line in main_lines(comparison):
         indent = r"\quad " * line.level
-        text.append(f"{indent}{latex(line.label)} & {latex_row(line.texts)}")
+        text.append(f"{indent}{latex(line.label)} & {latex_row(line.with_intervals.texts)}")
     return "\n".join([*text, r"\bottomrule", r"\end{tabular}", ""])
 
 

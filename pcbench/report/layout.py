@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import REFERENCE_TO_CANDIDATE, Candidate
+from pcbench.measure.results import ARROWS, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.scalars import SCALARS
 from pcbench.report.words import UNKNOWN
 
@@ -36,6 +36,7 @@ class Headline(NamedTuple):
         level: as in `Label`.
         is_optional: whether the line is omitted if there are enough others.
         column: heading of its column when each candidate is a row.
+        below: second line of that heading; empty: the direction or the threshold.
         ranks: priority of that column for c→r (or without a direction) and for r→c: the highest ranks are omitted
             first, 0 never; None: no such column.
     """
@@ -44,6 +45,7 @@ class Headline(NamedTuple):
     level: int = 0
     is_optional: bool = False
     column: str = ""
+    below: str = ""
     ranks: tuple[int | None, int | None] = (None, None)
 
 
@@ -60,6 +62,7 @@ LABELS = {  # by metric, or metric/variant
     "d2_rms": Label("D2 RMS"),
     "plane_distance_median": Label("median, signed", 1),
     "plane_distance_std": _STD,
+    "offset": Label("offset from the surface", 1),
     "plane_distance_nmad": _NMAD,
     "mean_distance": Label("mean distance"),
     "mean_distance_floor": _FLOOR,
@@ -101,6 +104,7 @@ _MAP_LABELS = {  # by statistic
 }
 _LABELLED_BEFORE = "plane_distance"  # map whose distribution has lines below D2
 _PRESET_LABEL, _PRESET_FSCORE = Label("{0.variant}: {0.metric}"), Label("{0.variant}: F-score at {0.threshold:.4g}")
+_OWN_LABEL, _OWN_VALUE_LABEL = Label("{0.metric}"), Label("{0.metric}.{0.variant}")
 HEADLINES = {  # by metric
     "d2_rms": Headline("RMS off the surface (D2)", column="D2 RMS", ranks=(0, None)),
     "d2_rms_floor": Headline("sampling floor", 1, column="floor", ranks=(1, None)),
@@ -120,6 +124,7 @@ _MAP_HEADLINES = {key: Headline(f"{{title}}: {key}", is_optional=True) for key i
 # Ranks of columns that are no quantities: on the terminal by priority, on the page by their place among the others.
 TERMINAL_RANKS = {"pose": 0, "deformation": 2, "overlap": 4, "deformed RMS": 7, "points": 8}
 PAGE_RANKS = {"deformation": 3, "points measured": 20, "registration RMSE": 21, "overlap": 22}
+_ASKED_RANKS = (3, 3)  # of presets and metrics that were asked for, like the F-score
 _SECOND_COLUMN = (REFERENCE_TO_CANDIDATE, "a_to_b")  # directions in the column r→c; the a of a preset is the reference
 _LARGER_OF_BOTH = ("symmetric_max", "symmetric")  # directions without a line
 _SAME_LINE = {"recall": "precision"}  # metrics in the line of another one
@@ -167,6 +172,12 @@ class Line(NamedTuple):
         return cls(label, [(LineCell(text), LineCell(second)) for text in texts], level, rank)
 
     @property
+    def with_intervals(self) -> Line:
+        """The line with the interval of each cell in its text."""
+        cells = [(LineCell(first.with_interval), LineCell(second.with_interval)) for first, second in self.cells]
+        return self._replace(cells=cells)
+
+    @property
     def texts(self) -> list[str]:
         """The texts of all cells, without intervals."""
         return [cell.text for pair in self.cells for cell in pair]
@@ -196,6 +207,8 @@ def label_of(quantity: Quantity) -> Label | None:
         label = _PRESET_LABEL if quantity.threshold is None else _PRESET_FSCORE
         if quantity.metric in ("precision", "recall"):
             return None
+    elif quantity.group == "own":
+        label = _OWN_VALUE_LABEL if quantity.variant else _OWN_LABEL
     elif quantity.metric in SCALARS:
         label = _MAP_LABELS[quantity.variant]
         if quantity.metric == _LABELLED_BEFORE and label in (_MEDIAN, _STD, _NMAD):
@@ -216,6 +229,20 @@ def headline_of(quantity: Quantity) -> Headline | None:
     if headline is None or quantity.direction in _LARGER_OF_BOTH or quantity.group.startswith("preset"):
         return None
     return headline._replace(text=_filled(headline.text, quantity))
+
+
+def asked_headline_of(quantity: Quantity) -> Headline | None:
+    """Return the presentation in the summary of a value that was asked for: of a preset, or a user-defined metric."""
+    label = label_of(quantity)
+    if label is None:
+        return None
+    if quantity.group == "own":
+        column, below = quantity.metric.partition(".")[::2]
+        below = f"{below} {ARROWS[quantity.direction]}" if quantity.direction else below
+        below = f"{below}.{quantity.variant}" if quantity.variant else below
+    else:
+        column, below = quantity.variant, quantity.metric if quantity.threshold is None else ""
+    return Headline(label.text, column=column, below=below, ranks=_ASKED_RANKS)
 
 
 def column_of(quantity: Quantity) -> int:

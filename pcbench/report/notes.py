@@ -17,7 +17,7 @@ from pcbench.measure.results import (
     Tiling,
 )
 from pcbench.measure.wording import pluralize, with_unit
-from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
+from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report.checked import check_point_remarks
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import label_of
@@ -25,6 +25,7 @@ from pcbench.report.moved import motion_clause, place_sentence
 from pcbench.report.words import interval_text, join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
+_OF_FITTED_POSES = (UNOBSERVABLE, WEAKLY_OBSERVABLE)  # codes of warnings that say nothing about a given pose
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
 _MIN_OUTSIDE_SHARE = 0.5  # of the points beyond the reference, for which its bounding box is recommended
 _MAX_LISTED_FILES = 3
@@ -54,7 +55,7 @@ def warnings(comparison: FinishedComparison) -> list[str]:
 
 
 def remarks(comparison: FinishedComparison) -> Iterator[str]:
-    """Yield how tiles were used, residuals of control points, motions that the answer does not state, and samples.
+    """Yield how tiles were used, doubts about given poses, residuals, motions that the answer omits, and samples.
 
     How heights at check points were found, and what limits their accuracy, follow.
     """
@@ -70,6 +71,8 @@ def _remarks(comparison: FinishedComparison) -> Iterator[str]:
         yield f"Maps, charts and local statistics show a sample: {join_words(samples)}{where}."
     unit = comparison.reference.unit
     for candidate in comparison:
+        for doubt in candidate.registration.notes:
+            yield f"{candidate.name} is measured and ranked in the pose that you gave. Note: {doubt}."
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
             yield f"{candidate.name}: {'; '.join(lines)}"
         motion = candidate.registration.motion
@@ -102,16 +105,16 @@ def tiling_sentence(comparison: FinishedComparison, tiling: Tiling) -> str:
 
 
 def details(comparison: FinishedComparison) -> Iterator[str]:
-    """Yield the verdict on each candidate, and the differences of each pair whose registrations are not doubtful."""
+    """Yield the verdict on each candidate, and the differences of each pair whose poses are right or vouched for."""
     for candidate in comparison:
         yield deformation_sentence(comparison, candidate, candidate.name)
-    doubtful = {c.name for c in comparison if c.registration.doubtful}
+    unranked = {c.name for c in comparison if not c.registration.is_ranked}
     labels = {}
     for quantity in quantities(comparison.candidates[0]):
         if quantity.difference in _REPORTED_DIFFERENCES and (label := label_of(quantity)) is not None:
             labels[quantity.difference] = f"{label.text} {ARROWS.get(quantity.direction, '')}".rstrip()
     for difference in comparison.differences:
-        if difference.metric in labels and not {difference.a, difference.b} & doubtful:
+        if difference.metric in labels and not {difference.a, difference.b} & unranked:
             yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
@@ -126,8 +129,9 @@ def deformation_sentence(comparison: FinishedComparison, candidate: Candidate, n
 
 
 def is_open(candidate: Candidate) -> bool:
-    """Return whether the geometry leaves a motion of a candidate unconstrained."""
-    return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
+    """Return whether the geometry, from which a candidate's pose was found, leaves a motion unconstrained."""
+    registration = candidate.registration
+    return not registration.keeps_pose and any(notice.code == UNOBSERVABLE for notice in registration.warnings)
 
 
 def overlaps_little(comparison: FinishedComparison, candidate: Candidate) -> bool:
@@ -141,7 +145,9 @@ def _of_candidate(comparison: FinishedComparison, candidate: Candidate) -> Itera
         yield text
     registration, everywhere = candidate.registration, comparison.settings.crop == "none"
     for notice in registration.warnings:
-        if not (everywhere and notice.code == LOW_OVERLAP):  # the sentence below replaces it
+        is_replaced = everywhere and notice.code == LOW_OVERLAP  # by the sentence below
+        is_left_out = registration.keeps_pose and notice.code in _OF_FITTED_POSES
+        if not (is_replaced or is_left_out or notice in registration.notes):
             yield str(notice)
     if overlaps_little(comparison, candidate):
         distance = length(registration.overlap_distance, comparison.reference.unit)

@@ -50,7 +50,7 @@ def record(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
     for name in ("initial", *RARE_SETTINGS):
-        if values[name] in (None, False):
+        if values[name] in (None, False, ()):
             del values[name]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):
         values["m3c2"] = _m3c2_record(m3c2)

@@ -16,6 +16,7 @@ from pcbench.report.layout import (
     LineCell,
     LineQuantities,
     arrange,
+    asked_headline_of,
     column_of,
     headline_of,
     line_key,
@@ -48,13 +49,18 @@ def main_lines(comparison: FinishedComparison) -> list[Line]:
     has_details = len(main_thresholds(comparison)) == 1  # of F-scores
 
     def cell(quantity: Quantity) -> LineCell:
-        return LineCell(show(quantity.value) if quantity.unit == LENGTH else number(quantity.value))
+        text = show if quantity.unit == LENGTH else number
+        interval = None if quantity.interval is None else (text(quantity.interval.low), text(quantity.interval.high))
+        return LineCell(text(quantity.value), interval)
 
     always: list[Line] = []
     optional: list[Line] = []
+    asked: list[Line] = []
+    asked_groups = _asked_groups(comparison)
     for headline, line in headline_lines(comparison):
         if has_details or not headline.level or line.first.threshold is None:
             group = optional if headline.is_optional else always
+            group = asked if line.first.group in asked_groups else group
             group.append(Line(headline.text, line.cells(cell), headline.level))
     methods = {c.registration.method.partition(":")[0] for c in candidates}
     method = "registration" if len(methods) > 1 else methods.pop()
@@ -73,20 +79,31 @@ def main_lines(comparison: FinishedComparison) -> list[Line]:
         sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
         lines.append(Line.of_texts("RMS", map(show, sizes), 1))
         lines.append(Line.of_texts("detectable RMS", map(show, limits), 1))
-    return lines + optional[: _MAX_ROWS - len(lines)]
+    return [*lines, *optional[: _MAX_ROWS - len(lines)], *asked]
 
 
 def headline_lines(comparison: FinishedComparison) -> list[tuple[Headline, LineQuantities]]:
     """Return the lines of the quantities in the summary, for the main ones of several thresholds."""
-    thresholds = (None, *main_thresholds(comparison))
-    lines = arrange(comparison.candidates, lambda q: q.threshold in thresholds and headline_of(q) is not None)
-    return [(headline, line) for line in lines if (headline := headline_of(line.first)) is not None]
+    thresholds, headline = (None, *main_thresholds(comparison)), _headlines(comparison)
+    lines = arrange(comparison.candidates, lambda q: q.threshold in thresholds and headline(q) is not None)
+    return [(shown, line) for line in lines if (shown := headline(line.first)) is not None]
+
+
+def _headlines(comparison: FinishedComparison) -> Callable[[Quantity], Headline | None]:
+    """Return the function that gives the presentation of a quantity in the summary, if it is in it."""
+    asked = _asked_groups(comparison)
+    return lambda quantity: asked_headline_of(quantity) if quantity.group in asked else headline_of(quantity)
+
+
+def _asked_groups(comparison: FinishedComparison) -> set[str]:
+    """Return the groups of quantities that the user asked for."""
+    return {"own", *(f"preset {name}" for name in comparison.settings.presets)}
 
 
 def main_columns(comparison: FinishedComparison, width: int) -> list[Column]:
     """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
     candidates, show = list(comparison), _length_formatter(comparison, digits=3)
-    pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
+    pose = ["" if c.registration.is_ranked else "doubtful" for c in candidates]
     facts = {
         "points": Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates]),
         "pose": Column(("", "pose"), pose),
@@ -123,7 +140,7 @@ def _names(candidates: list[Candidate], width: int) -> list[str]:
 
 def _quantity_columns(comparison: FinishedComparison, show: LengthFormatter) -> Iterator[tuple[int, Column]]:
     """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
-    first_threshold = (None, *main_thresholds(comparison)[:1])
+    first_threshold, headline_in = (None, *main_thresholds(comparison)[:1]), _headlines(comparison)
 
     def text(quantity: Quantity) -> str:
         if quantity.value is None:
@@ -131,13 +148,14 @@ def _quantity_columns(comparison: FinishedComparison, show: LengthFormatter) -> 
         return {LENGTH: show(quantity.value), RATIO: f"{quantity.value:.3f}"}.get(quantity.unit, number(quantity.value))
 
     by_place = [
-        {(line_key(q), column_of(q)): (headline, q) for q in quantities(candidate) if (headline := headline_of(q))}
+        {(line_key(q), column_of(q)): (headline, q) for q in quantities(candidate) if (headline := headline_in(q))}
         for candidate in comparison
     ]
     for place, (headline, quantity) in by_place[0].items():  # a floor is beside its value
         rank = headline.ranks[column_of(quantity)]
         if rank is not None and quantity.threshold in first_threshold:
             below = ARROWS.get(quantity.direction, "") if quantity.threshold is None else f"{quantity.threshold:.3g}"
+            below = headline.below or below
             cells = [text(shown[place][1]) if place in shown else UNKNOWN for shown in by_place]
             yield rank, Column((headline.column, below), cells)
 

@@ -107,7 +107,7 @@ def html(comparison: FinishedComparison) -> str:
     body = []
     for line in filter(None, lines(comparison)):
         style = f"{label_style};font-weight:normal;padding-left:2em;opacity:0.75" if line.level else label_style
-        cells = "".join(f'<td style="{number_style}">{escape(text)}</td>' for text in line.texts)
+        cells = "".join(f'<td style="{number_style}">{escape(text)}</td>' for text in line.with_intervals.texts)
         body.append(f'<tr><th scope="row" style="{style}">{escape(line.label)}</th>{cells}</tr>')
     sentences = [
         *answer(comparison),

@@ -34,7 +34,7 @@ def print_comparison(comparison: FinishedComparison, *, full: bool = False, fold
 
     Args:
         comparison: the comparison.
-        full: whether to print all metrics and all sentences.
+        full: whether to print all metrics and all sentences; with intervals if the table then fits into the width.
         folder: the report folder, if there is one.
     """
     console = _console()
@@ -57,8 +57,11 @@ def print_comparison(comparison: FinishedComparison, *, full: bool = False, fold
     if unit and full:
         unit += f", mean squares in {comparison.reference.unit}²"
     if full or len(comparison) <= MAX_SIDE_BY_SIDE:
-        rows = lines(comparison) if full else main_lines(comparison)
-        _print_lines(console, [c.name for c in comparison], unit, list(rows))
+        rows = list(lines(comparison)) if full else main_lines(comparison)
+        with_intervals = [line and line.with_intervals for line in rows]
+        if full and _table_width(unit, with_intervals) <= console.width:
+            rows = with_intervals
+        _print_lines(console, [c.name for c in comparison], unit, rows)
     else:
         names, *others = main_columns(comparison, console.width)
         label_width = max(map(columns, [unit, *names.cells]))
@@ -120,12 +123,8 @@ def _console() -> Console:
 
 def _print_lines(console: Console, names: Sequence[str], unit: str, table: Sequence[Line | None]) -> None:
     """Print a line per metric with two columns per candidate; the table may be wider than a narrow terminal."""
-    arrows, metrics = list(ARROWS.values()), [line for line in table if line is not None]
-    label = max(len(unit), *(len(_indented(line)) for line in metrics))
-    texts = [arrows * len(names), *(line.texts for line in metrics)]
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    needed = label + sum(widths) + len(widths) * len(_GAP)
-    spare = max(console.width - needed, 0) // len(names)
+    label, *widths = _column_widths(unit, table)
+    spare = max(console.width - _table_width(unit, table), 0) // len(names)
     heads = []
     for k, name in enumerate(names):  # a long name uses the spare width
         room = widths[2 * k] + len(_GAP) + widths[2 * k + 1]
@@ -138,12 +137,25 @@ def _print_lines(console: Console, names: Sequence[str], unit: str, table: Seque
         _print_row(console, [first.ljust(label), *padded], style)
 
     _print_row(console, ["".ljust(label), *heads], "bold")
-    print_row(unit, texts[0])
+    print_row(unit, list(ARROWS.values()) * len(names))
     for line in table:
         if line is None:
             console.print()
         else:
             print_row(_indented(line), line.texts, "dim" if line.level else "")
+
+
+def _column_widths(unit: str, table: Sequence[Line | None]) -> list[int]:
+    """Return the widths of the labels and of all columns."""
+    metrics = [line for line in table if line is not None]
+    arrows = list(ARROWS.values()) * len(metrics[0].cells)
+    label = max(len(unit), *(len(_indented(line)) for line in metrics))
+    return [label, *(max(map(len, column)) for column in zip(arrows, *(line.texts for line in metrics), strict=True))]
+
+
+def _table_width(unit: str, table: Sequence[Line | None]) -> int:
+    widths = _column_widths(unit, table)
+    return sum(widths) + (len(widths) - 1) * len(_GAP)
 
 
 def _indented(line: Line) -> str:

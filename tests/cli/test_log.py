@@ -115,7 +115,7 @@ def test_a_log_on_a_full_disk_gives_one_warning(files):
 
 def test_warnings_of_a_comparison_are_logged(files, run):
     write_cloud("far.ply", Cloud(1.02 * read_cloud("a.ply").points))
-    code, out, _ = run("--log", "run.log", "compare", "ref.ply", "far.ply", "--register", "none", "--no-figures")
+    code, out, _ = run("--log", "run.log", "compare", "ref.ply", "far.ply", "--no-figures")
     assert code == 0
     printed_warnings = [line.removeprefix("warning: ") for line in out.splitlines() if line.startswith("warning: ")]
     assert printed_warnings

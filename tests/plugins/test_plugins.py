@@ -251,7 +251,7 @@ def test_invalid_reconstructors_are_refused(tmp_path):
 
 def test_entry_points(monkeypatch):
     entry_points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
-    monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: entry_points)
+    monkeypatch.setattr("pcbench.io.named_code.entry_points", lambda group: entry_points)
     assert plugins.installed_reconstructors() == ("one", "two")
     with check_error():
         find_plugin("two")

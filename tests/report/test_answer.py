@@ -12,7 +12,7 @@ from pcbench.errors import Notice
 from pcbench.measure.intervals import Interval
 from pcbench.registration import result
 from pcbench.report.answer import answer
-from pcbench.report.notes import details, warnings
+from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.table import html, markdown
 from pcbench.report.words import columns, join_words, length, pad, shorten_name
 
@@ -43,7 +43,7 @@ def with_registration(comparison, name, *codes, **fields):
     for c in comparison:
         if c.name == name:
             notices = tuple(Notice(code, f"{code} said") for code in codes)
-            c = replace(c, registration=replace(c.registration, warnings=notices, **fields))
+            c = replace(c, registration=replace(c.registration, warnings=notices, **{"method": "icp", **fields}))
         candidates.append(c)
     return replace(comparison, candidates=tuple(candidates))
 
@@ -126,10 +126,10 @@ def test_no_verdict_on_a_doubtful_registration(comparison):
     check_text(statement)
     assert "--register global" in check_text(advice)
     assert "points:FILE" in advice
-    advice_after_matrix = answer(
-        with_registration(select_candidates(comparison, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt")
+    advice_after_global = answer(
+        with_registration(select_candidates(comparison, "a"), "a", result.DOUBTFUL_POSE, method="global")
     )[1]
-    assert "global" in advice_after_matrix and "matrix" not in advice_after_matrix  # it was used already
+    assert "matrix" in advice_after_global and "global (" not in advice_after_global  # it was used already
     assert "deformed" not in statement + advice
     assert "a: doubtful-pose said" in warnings(one_candidate)
     detail_text = " ".join(details(with_registration(comparison, "a", result.FAR_OFF)))
@@ -141,6 +141,24 @@ def test_no_verdict_on_a_doubtful_registration(comparison):
     check_text("\n".join((statement, accuracy, completeness, deformation)))
     for sentence in (accuracy, completeness, deformation):
         assert "a " not in sentence.split("(")[0].split()
+
+
+@pytest.mark.parametrize("method", ["none", "matrix:T.txt"])
+def test_a_given_pose_is_ranked_and_its_doubt_is_a_note(comparison, method):
+    """The user vouches for it, as in a benchmark; only what cannot be meant stays a warning."""
+    codes = (result.DOUBTFUL_POSE, result.UNOBSERVABLE)
+    doubted = with_registration(select_candidates(comparison, "a", "b"), "a", *codes, method=method)
+    assert doubted["a"].registration.doubtful and doubted["a"].registration.is_ranked
+    plain = select_candidates(comparison, "a", "b")
+    assert answer(doubted) == answer(plain)
+    assert answer(select_candidates(doubted, "a"))[0] == answer(select_candidates(comparison, "a"))[0]
+    assert any("b by" in text for text in details(doubted))
+    assert not any("said" in text for text in warnings(doubted))
+    notes = [text for text in remarks(doubted) if "said" in text]
+    assert "doubtful-pose said" in check_text("\n".join(notes))
+    far_off = with_registration(plain, "a", result.FAR_OFF, method=method)
+    assert answer(far_off) == answer(plain)
+    assert "a: far-off said" in warnings(far_off)
 
 
 def test_no_deformation_is_claimed_if_the_pose_is_undetermined(comparison):

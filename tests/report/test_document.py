@@ -1,12 +1,16 @@
 """Contents of comparison.json beside the metrics, and dependence of its numbers on the seed."""
 
+import re
+
 import numpy as np
 import pytest
 import shapes
+from repository import ROOT
 
 from pcbench import compare
 from pcbench.geometry.voxels import robust_extent
 from pcbench.measure import intervals
+from pcbench.measure.quantities import quantities
 from pcbench.report import document
 from pcbench.report.words import rounding_limit
 
@@ -32,6 +36,67 @@ def test_the_contrast_of_a_registration_is_in_the_document(clouds):
     assert candidate["registration"]["contrast"] > 0
     corners = np.eye(3)
     assert document(compare(corners, corners, register="none"))["candidates"][0]["registration"]["contrast"] is None
+
+
+def test_a_root_has_the_floor_and_the_interval_of_its_mean_square(clouds):
+    comparison = compare(*clouds, register="none")
+    (values,) = document(comparison)["candidates"]
+    metrics = comparison["candidate_1"].metrics
+    for square, root, typed in (("d1_mse", "d1_rms", metrics.d1_rms), ("d2_mse", "d2_rms", metrics.d2_rms)):
+        squares, roots = values["metrics"][square], values["metrics"][root]
+        for way, estimate in (
+            ("candidate_to_reference", typed.accuracy),
+            ("reference_to_candidate", typed.completeness),
+            ("symmetric_max", typed.symmetric_max),
+        ):
+            assert roots[way] == np.sqrt(squares[way]) == estimate.value
+            np.testing.assert_array_equal(roots["ci"][way], np.sqrt(squares["ci"][way]))
+            assert estimate.interval == tuple(roots["ci"][way])
+            assert estimate.interval.low <= estimate.value <= estimate.interval.high
+            if way != "symmetric_max":
+                assert roots["floor"][way] == np.sqrt(squares["floor"][way]) == estimate.floor
+        assert typed.accuracy.area_weighted == np.sqrt(squares["area_weighted"]["candidate_to_reference"])
+
+
+def test_each_printed_value_with_its_interval_is_in_the_document(clouds):
+    comparison = compare(*clouds, register="none", maps=("m3c2",), presets=("tnt",))
+    (values,) = document(comparison)["candidates"]
+    with_interval = set()
+    for quantity in quantities(comparison["candidate_1"]):
+        if quantity.interval is not None:
+            with_interval.add(quantity.metric)
+        if not quantity.path:  # a larger object has it
+            continue
+        *path, last = quantity.path
+        node = values
+        for key in path:
+            node = node[key]
+        assert node[last] == quantity.value
+        if quantity.interval is not None:
+            assert node["ci"][last] == list(quantity.interval)
+    means = {"d1_mse", "d1_rms", "d2_mse", "d2_rms", "mean_distance", "chamfer", "fscore", "precision", "recall"}
+    assert with_interval == means | {"offset", "deformation_rms"}
+    assert values["offset"]["interval"] == list(comparison["candidate_1"].offset.interval)
+    assert values["deformation"]["amplitude"]["ci"] == list(comparison["candidate_1"].deformation.amplitude.ci)
+
+
+def test_each_key_is_explained_on_its_page(clouds):
+    """Settings, presets, percentiles and steps have separate pages or explain themselves."""
+
+    def keys(node):
+        if isinstance(node, dict):
+            for key, value in node.items():
+                yield key
+                if key not in ("settings", "presets", "percentiles", "timings_s"):
+                    yield from keys(value)
+        elif isinstance(node, list):
+            for value in node[:1]:
+                yield from keys(value)
+
+    page = (ROOT / "docs/comparison-json.md").read_text()
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", page))))
+    values = document(compare(*clouds, maps=("m3c2",), presets=("tnt",), thresholds=(0.5,)))
+    assert set(keys(values)) - {"schema"} <= explained
 
 
 def test_the_extent_does_not_depend_on_the_cell_size(clouds, monkeypatch):

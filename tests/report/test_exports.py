@@ -35,6 +35,20 @@ def test_a_latex_table_has_balanced_lines_and_no_special_characters(comparison):
     check_text("\n".join(line.split(" & ")[0] for line in body[1:]))
 
 
+def test_a_latex_table_has_intervals_and_the_presets_that_were_asked_for(comparison):
+    assert "tnt" not in TABLES["latex"](comparison)
+    points = shapes.city(800, seed=1)[0]
+    asked = compare(points, shapes.city(500, seed=2)[0], Settings(register="none", presets=("tnt", "pdal")))
+    metrics = asked["candidate_1"].metrics
+    (low, high), value = metrics.d2_rms.accuracy.interval, metrics.d2_rms.accuracy.value
+    for text in (TABLES["latex"](asked), TABLES["markdown"](asked)):
+        assert f"{value:.4g} [{low:.4g}, {high:.4g}]" in text
+        assert f"{metrics.presets['tnt'].fscore[1].fscore:.4g}" in text
+        assert f"{metrics.presets['pdal'].chamfer:.4g}" in text
+    names = [line.split(" & ")[0] for line in TABLES["latex"](asked).splitlines() if line[:5] in ("tnt: ", "pdal:")]
+    assert names == [f"tnt: F-score at {metrics.fscores[1].threshold:.4g}", "pdal: chamfer", "pdal: hausdorff"]
+
+
 @pytest.mark.parametrize(("text", "expected"), [("c→r", r"c$\to$r"), ("a_b", r"a\_b"), ("m²", "m$^2$"), ("–", "--")])
 def test_special_characters_are_escaped(text, expected):
     assert latex(text) == expected

@@ -39,3 +39,13 @@ def test_a_wide_interval_makes_no_candidate_a_best_one():
     rows = {row.label: row for row in main_rows(comparison)}
     marks = [cell.is_best for cell, _ in rows["RMS off the surface (D2)"].cells]
     assert marks == [True, False, False]
+
+
+def test_a_preset_has_a_row_but_no_best_value():
+    """Its differences are not tested."""
+    points = shapes.terrain(600, seed=1)[0]
+    clouds = {"near": points + [0, 0, 0.01], "far": points + [0, 0, 3.0]}
+    comparison = compare(points, clouds, Settings(register="none", presets=("tnt",), thresholds=(0.5,)))
+    rows = {row.label: row for row in main_rows(comparison)}
+    assert [cell.is_best for cell, _ in rows["F-score at 0.5"].cells] == [True, False]
+    assert [cell.is_best for cell, _ in rows["tnt: F-score at 0.5"].cells] == [False, False]

@@ -59,7 +59,11 @@ def six_candidates():
     names = ["a", "b", "c", f"{LONG_NAME}17", f"{LONG_NAME}18"]
     points = {name: shapes.city(800, noise=0.02 * k, seed=10 + k)[0] for k, name in enumerate(names)}
     center = reference.points.mean(axis=0)
-    return compare(reference, {**points, "astray": 1000 * (points["a"] - center) + center}, Settings(register="none"))
+    clouds = {**points, "astray": 1000 * (points["a"] - center) + center}
+    comparison = compare(reference, clouds, Settings(register="none"))
+    *others, astray = comparison.candidates  # a pose that was found, because a given one is not doubted
+    astray = replace(astray, registration=replace(astray.registration, method="icp"))
+    return replace(comparison, candidates=(*others, astray))
 
 
 @pytest.fixture
@@ -140,6 +144,21 @@ def test_a_small_overlap_is_printed_above_the_numbers(run_compare):
     assert "--crop reference" in check_text(" ".join(" ".join(above).split()))
     above_cropped, *_ = run_compare("beyond", options=["--crop", "reference"])
     assert "--crop reference" not in " ".join(above_cropped)
+
+
+def test_full_prints_intervals_if_they_fit(six_candidates, monkeypatch, capsys):
+    one = replace(six_candidates, candidates=six_candidates.candidates[:1])
+    rms = one["a"].metrics.d2_rms.accuracy
+    text = f"{rms.value:.4g} [{rms.interval.low:.4g}, {rms.interval.high:.4g}]"
+    for width, fits in (("80", False), ("140", True), (None, True)):
+        if width is None:
+            monkeypatch.delenv("COLUMNS")
+        else:
+            monkeypatch.setenv("COLUMNS", width)
+        print_comparison(one, full=True)
+        out = capsys.readouterr().out
+        assert (text in out) == fits
+        assert f"{rms.value:.4g}" in out
 
 
 def test_full_prints_all_metrics(run_compare):

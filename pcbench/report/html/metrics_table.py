@@ -81,7 +81,7 @@ def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
     if quantity is None:
         return LineCell()
     text = "0" if quantity.value is not None and abs(quantity.value) <= least else number(quantity.value)
-    interval = quantity.known_interval
+    interval = quantity.interval
     return LineCell(text, None if interval is None else (f"{interval.low:.3g}", f"{interval.high:.3g}"), is_best)
 
 
@@ -90,7 +90,7 @@ class _Best:
 
     def __init__(self, comparison: FinishedComparison) -> None:
         self.names = [c.name for c in comparison]
-        self.eligible = {k for k, c in enumerate(comparison) if not c.registration.doubtful}
+        self.eligible = {k for k, c in enumerate(comparison) if c.registration.is_ranked}
         self.tied = {
             (d.metric, frozenset((d.a, d.b))) for d in comparison.differences if d.interval.low <= 0 <= d.interval.high
         }
@@ -98,7 +98,8 @@ class _Best:
     def of(self, line: LineQuantities) -> set[tuple[int, int]]:
         """Return the candidate and the direction of each best value."""
         metric = line.first.metric
-        if metric not in _RANKED or len(self.eligible) < 2:
+        is_tested = bool(line.first.tested_difference)  # not the F-score of a preset
+        if metric not in _RANKED or not is_tested or len(self.eligible) < 2:
             return set()
         winners: set[tuple[int, int]] = set()
         for direction in (0, 1):
