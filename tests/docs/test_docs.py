@@ -19,10 +19,14 @@ from wording import check_error
 
 from pcbench import cli
 
-# Their commands reconstruct scenes, or take long for other reasons.
+# Their commands reconstruct scenes, or take more than two seconds for other reasons.
 LONG_PAGES = {
-    f"docs/howto/{name}.md" for name in ("compare", "field", "maps", "mvs", "plots", "python", "splat", "stress")
-} | {"docs/tutorial.md"}
+    f"docs/howto/{name}.md"
+    for name in (
+        *("compare", "convert", "deformation", "field", "maps", "mvs", "plots", "python", "register", "repeat"),
+        *("scenes", "splat", "stress", "tiles"),
+    )
+} | {"docs/reconstructors.md", "docs/tutorial.md"}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SHELL_COMMANDS = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 
