@@ -53,6 +53,7 @@ def test_a_missing_scale_is_reported(scene):
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
 
+@pytest.mark.long
 def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
     """Facade of 20 m x 8 m with recesses, noise of the candidate 2 cm: its edges indicate a scale of 0.966."""
 
@@ -70,7 +71,7 @@ def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
     assert "the scale" in check_text(result.warnings[0].text)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_solved_scale_that_the_geometry_does_not_fix_is_doubtful(seed):
     """A round hill with noise as large as the spacing: closest points may shrink the candidate by a tenth."""
     rng = np.random.default_rng(seed)
@@ -105,7 +106,7 @@ def test_unobservable_motions_are_reported():
         return points + rng.normal(0, 0.02, points.shape)
 
     plane_registration = register(
-        add_noise(shapes.plane_samples(40_000, 40, seed=1)), add_noise(shapes.plane_samples(8000, 40, seed=2))
+        add_noise(shapes.plane_samples(10_000, 40, seed=1)), add_noise(shapes.plane_samples(4000, 40, seed=2))
     )
     assert plane_registration.weakest_sigma is None
     assert plane_registration.warnings[0].code == UNOBSERVABLE

@@ -88,9 +88,15 @@ KINDS = (
 )  # fmt: skip
 
 
+# The tests of `test_assessment` compare the test for deformation too; here are kinds in which it is undecided.
+WITH_DEFORMATION = (sparse_reference, one_candidate_point, few_points, equal_points)
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_numbers_are_those_in_memory(tmp_path, monkeypatch, kind):
     in_this_process(monkeypatch)
+    if kind not in WITH_DEFORMATION:
+        skip_deformation(monkeypatch)
     pair = Pair(tmp_path / "pair", *kind(np.random.default_rng(0)))
     expected = pair.memory()
     check_equal(pair.tiled(maps=tmp_path / "maps"), expected)
@@ -126,10 +132,6 @@ CASES = [
 ]
 
 
-# One case of each kind of setting that the test for deformation depends on.
-WITH_DEFORMATION = [{"crop": "polygon"}, {"thresholds": (0.05, 0.3), "seed": 3, "two": True}, {"register": "icp"}]
-
-
 def moved(points):
     """Points turned by a degree and shifted."""
     angle = np.deg2rad(1)
@@ -149,7 +151,7 @@ def pair_of(folder, count=1500, two=False, **settings):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(f"{key}-{str(case[key])[:12]}" for key in case))
 def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case):
     in_this_process(monkeypatch)
-    if case not in WITH_DEFORMATION:
+    if "two" not in case:  # which has a seed for the test for deformation too
         skip_deformation(monkeypatch)
     if case.get("crop") == "polygon":
         file = tmp_path / "polygon.json"
@@ -272,6 +274,7 @@ def test_a_changed_polygon_or_matrix_is_not_mistaken_for_the_old_one(tmp_path, m
         check_equal(pair.tiled(), pair.memory())
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_another_folder_for_the_maps_gets_them_all(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair = pair_of(tmp_path / "pair")
@@ -300,6 +303,7 @@ def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
         pair.tiled()
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_points_that_are_not_finite_are_left_out_as_in_memory(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     monkeypatch.setattr(TilingSettings, "chosen_piece_points", 400)

@@ -135,7 +135,7 @@ def test_a_candidate_in_a_corner_is_registered_there(tmp_path, small_windows):
     assert tiled["corner"].points == len(corner)
 
 
-@pytest.mark.parametrize("kind", ["icp", "matrix", "similarity"])
+@pytest.mark.parametrize("kind", [pytest.param("icp", marks=pytest.mark.long), "matrix", "similarity"])
 def test_methods_of_registration_in_windows(tmp_path, small_windows, kind):
     rng = np.random.default_rng(1)
     points = surface(rng, 15_000)
@@ -215,6 +215,7 @@ def test_a_dense_candidate_is_thinned_by_the_workers(tmp_path, small_windows, mo
     assert 0 < sum(returned) < 11_000
 
 
+@pytest.mark.long
 def test_halves_of_one_cloud_are_not_deformed_in_windows(tmp_path, monkeypatch):
     shrink_windows(monkeypatch)
     rng = np.random.default_rng(4)
