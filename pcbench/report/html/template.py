@@ -12,8 +12,10 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pcbench.errors import PcbenchError, record_error
@@ -84,7 +86,7 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
         script: JavaScript that the page runs; without one, its policy forbids scripts.
         content: values for the template's own parts.
     """
-    return _environment().get_template(template).render(
+    return _environment(require("jinja2")).get_template(template).render(
         kind=opening.kind,
         title=opening.title,
         subtitle=opening.subtitle,
@@ -116,8 +118,9 @@ def script_json(values: Any) -> str:
     return json.dumps(values, allow_nan=False, ensure_ascii=True, separators=(",", ":")).translate(_JSON_ESCAPES)
 
 
-def _environment() -> Environment:
-    jinja2 = require("jinja2")
+@cache
+def _environment(jinja2: ModuleType) -> Environment:
+    """Return the environment of all pages, which keeps compiled templates: compiling takes longer than most pages."""
     made: Environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(source),
         autoescape=True,
