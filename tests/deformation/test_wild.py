@@ -73,9 +73,11 @@ def test_groups_of_adjacent_tiles():
     assert _largest_group(places[:0], 1.5) == 0
 
 
-@pytest.mark.long
 def test_offset_strips_are_reported():
-    result = deform_pair(PARTS["strips 0.5"], 44, step=2)
+    rng = np.random.default_rng(44)
+    reference, candidate = (add_noise(sample_city(count, rng), rng) for count in (24_000, 10_000))
+    candidate[candidate[:, 0] > 20] += [0.25, 0.15, 0.5]
+    result = verdict(reference, candidate)
     assert result.verdict == "undecided"
     assert "parts-displaced" in warning_codes(result)
     assert " 90 degrees " in check_text(result.warnings[0])

@@ -70,7 +70,9 @@ def town():
 
 @pytest.mark.long
 def test_wrong_poses_get_no_verdict():
-    town, registered = (city(3).sample(count, np.random.default_rng(seed))[0] for seed, count in ((1, 15_000), (2, 8_000)))
+    town, registered = (
+        city(3).sample(count, np.random.default_rng(seed))[0] for seed, count in ((1, 15_000), (2, 8_000))
+    )
     clouds = {"right": registered, "wrong": town[::2] + [11, 7, 0]}
     comparison = compare(town, clouds, Settings(register="none"))
     candidate = comparison["wrong"]

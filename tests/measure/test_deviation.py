@@ -97,6 +97,7 @@ def test_mesh_distances_of_a_sphere():
         np.testing.assert_allclose(deviation.scalars["mesh_distance"], radius - 1, atol=1e-3)
 
 
+@pytest.mark.long
 def test_poisson_map_and_poisson_d2_of_gao2025():
     import_or_skip("open3d")
     points, normals = shapes.fibonacci_sphere(20_000, 5.0)

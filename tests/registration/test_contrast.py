@@ -175,7 +175,9 @@ def scan_street(eye, lines, steps, noise, seed):
     return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[in_range]
 
 
-@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), pytest.param(64, 450, 0.03, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("lines", "steps", "noise"), [(16, 900, 0.015), pytest.param(64, 450, 0.03, marks=pytest.mark.long)]
+)
 def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
     """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
     reference = scan_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)

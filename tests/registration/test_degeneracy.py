@@ -53,7 +53,6 @@ def test_a_missing_scale_is_reported(scene):
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
 
-@pytest.mark.long
 def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
     """Facade of 20 m x 8 m with recesses, noise of the candidate 2 cm: its edges indicate a scale of 0.966."""
 

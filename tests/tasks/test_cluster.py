@@ -113,7 +113,10 @@ def test_tasks_of_a_killed_worker_run_again(runner_of_processes, tmp_path):
 @pytest.mark.long
 def test_a_task_that_ends_its_workers_is_an_error(tmp_path, folder):
     """On a separate cluster: Dask does not always start workers again that end while they start."""
-    with local_cluster(n_workers=2, processes=True) as local, TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner:
+    with (
+        local_cluster(n_workers=2, processes=True) as local,
+        TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner,
+    ):
         with check_error(WorkerError):
             runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
     assert task_functions.calls(tmp_path) == [0, 0, 0, 0]

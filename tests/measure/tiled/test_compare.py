@@ -21,12 +21,12 @@ from pcbench.measure.tiled.settings import TilingSettings
 
 
 def holes(rng):
-    points = surface(rng, 1500)
-    return points[np.hypot(*(points[:, :2] - 5).T) > 2], noisy(rng, surface(rng, 1200))
+    points = surface(rng, 900)
+    return points[np.hypot(*(points[:, :2] - 5).T) > 2], noisy(rng, surface(rng, 700))
 
 
 def outliers(rng):
-    points = surface(rng, 1500)
+    points = surface(rng, 900)
     far = rng.normal(size=(40, 3)) * 1000
     return np.concatenate([points, far[:20]]), np.concatenate([[[1e6, -2e6, 5.0]], noisy(rng, points[::3]), far[20:]])
 
@@ -39,7 +39,7 @@ def duplicates(rng):
 
 
 def density(rng):
-    dense, sparse = surface(rng, 2500, 0.4), surface(rng, 1000)
+    dense, sparse = surface(rng, 1500, 0.4), surface(rng, 600)
     return np.concatenate([dense, sparse]), noisy(rng, np.concatenate([sparse[::2], dense[::5]]))
 
 
@@ -64,12 +64,12 @@ def equal_points(rng):
 
 
 def utm(rng):
-    points = surface(rng, 1500) + [500_000, 5_000_000, 100]
+    points = surface(rng, 900) + [500_000, 5_000_000, 100]
     return points, noisy(rng, points[::2])
 
 
 def given_normals(rng):
-    points = surface(rng, 1500)
+    points = surface(rng, 900)
     normals = rng.normal(size=points.shape)
     normals[::7] = 0
     return Cloud(points, normals=normals), noisy(rng, points[::2])
@@ -77,7 +77,7 @@ def given_normals(rng):
 
 def strips(rng):
     """Parts with nothing between them: most tiles of the curve are empty."""
-    points = surface(rng, 1500)
+    points = surface(rng, 900)
     points[:, 0] = np.round(points[:, 0] / 3) * 300 + points[:, 0] % 0.1
     return points, noisy(rng, points[::2])
 
@@ -119,7 +119,7 @@ CROPS = {
     "sphere": "sphere:5,5,0.5,3",
     "polygon": "polygon",
     "reference": "reference",
-    "corner": "box:0,0,-5,0.6,0.6,5",  # leaves most tiles without a point
+    "corner": "box:0,0,-5,0.9,0.9,5",  # leaves most tiles without a point
 }
 CASES = [
     *({"crop": crop} for crop in CROPS.values()),
@@ -139,7 +139,7 @@ def moved(points):
     return Similarity(turn, np.array([0.1, -0.1, 0.02]), 1.0).apply(points)
 
 
-def pair_of(folder, count=1500, two=False, **settings):
+def pair_of(folder, count=900, two=False, **settings):
     rng = np.random.default_rng(0)
     points = surface(rng, count)
     a, b = noisy(rng, points[::2]), noisy(rng, surface(rng, count // 3))

@@ -72,15 +72,15 @@ def damage(path):
 
 def test_damaged_files_end_the_comparison_or_are_left_out(pair, tmp_path):
     files = sorted(pair.paths["a"].iterdir())
-    damage(files[3])
-    files[1].write_bytes(files[1].read_bytes()[:300])
+    damage(files[1])
+    files[3].write_bytes(files[3].read_bytes()[:300])
     with check_error():
         pair.tiled(skip_bad=False)
     tiled = pair.tiled("skipping", skip_bad=True)
-    assert {left_out.path for left_out in tiled.tiling.left_out} == {str(files[3]), str(files[1])}
+    assert {left_out.path for left_out in tiled.tiling.left_out} == {str(files[1]), str(files[3])}
     assert all(isinstance(left_out, LeftOut) and left_out.reason for left_out in tiled.tiling.left_out)
     assert not any(left_out.path in left_out.reason for left_out in tiled.tiling.left_out)
-    for file in (files[3], files[1]):
+    for file in (files[1], files[3]):
         file.unlink()
     check_equal(tiled, pair.memory(), with_warnings=False)
     again = pair.tiled("without", skip_bad=True)

@@ -110,6 +110,7 @@ def moved_pair(seed=0):
     return pair, GivenClouds(Cloud(pair.reference, unit="m"), Cloud(pair.candidate, unit="m"))
 
 
+@pytest.mark.long
 def test_a_given_pair_is_stressed_about_the_pose_that_was_found(tmp_path):
     pair, clouds = moved_pair()
     truth = given_pair(clouds.reference, clouds.candidate, "icp")
