@@ -23,8 +23,8 @@ from pcbench import cli
 LONG_PAGES = {
     f"docs/howto/{name}.md"
     for name in (
-        *("compare", "convert", "deformation", "field", "maps", "mvs", "plots", "python", "register", "repeat"),
-        *("scenes", "splat", "stress", "tiles"),
+        *("checkpoints", "compare", "convert", "crop", "deformation", "field", "maps", "mvs", "plots", "python"),
+        *("register", "repeat", "report", "scenes", "splat", "stress", "tiles", "tradeoff", "views"),
     )
 } | {"docs/reconstructors.md", "docs/tutorial.md"}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -131,6 +131,7 @@ def test_nmad_is_robust_against_outliers():
     assert Spread.of(np.zeros(0)) == Spread()
 
 
+@pytest.mark.long
 def test_the_poisson_map_by_meshlab_is_named_in_the_result():
     import_or_skip("pymeshlab")
     points, normals = shapes.fibonacci_sphere(4000, 10.0)

@@ -121,6 +121,7 @@ def test_a_symmetric_scene_is_ambiguous():
     assert min(errors) < 0.5
 
 
+@pytest.mark.long
 @needs_kiss
 def test_a_plane_is_refused_or_has_a_warning():
     rng = np.random.default_rng(9)

@@ -144,6 +144,7 @@ class MetaEmulator(Emulator):
         self.launched.append(kernel.name)
 
 
+@pytest.mark.long
 def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     """Tensors on the device `meta` have no values, and most operations refuse to mix them with those of the CPU."""
     kernels = EmulatedCuda(emulator=MetaEmulator)
