@@ -105,7 +105,7 @@ def test_unobservable_motions_are_reported():
         return points + rng.normal(0, 0.02, points.shape)
 
     plane_registration = register(
-        add_noise(shapes.plane_samples(10_000, 40, seed=1)), add_noise(shapes.plane_samples(4000, 40, seed=2))
+        add_noise(shapes.plane_samples(40_000, 40, seed=1)), add_noise(shapes.plane_samples(8000, 40, seed=2))
     )
     assert plane_registration.weakest_sigma is None
     assert plane_registration.warnings[0].code == UNOBSERVABLE

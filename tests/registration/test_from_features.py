@@ -67,6 +67,16 @@ def test_global_methods_find_any_pose(method, seed, overlap, scale):
 
 
 @needs_kiss
+def test_the_scale_is_found_from_any_pose():
+    """A small version of the test above."""
+    reference, candidate = (shapes.city(count, noise=0.01, seed=count)[0] for count in (6_000, 3_000))
+    true_pose = random_pose(4, scale=0.1)
+    result = register(reference, true_pose.inverse().apply(candidate), "global-similarity")
+    assert error(result.T_reference_candidate, true_pose, candidate) < 0.005
+    assert result.solved_scale and not result.doubtful
+
+
+@needs_kiss
 @pytest.mark.slow
 def test_outliers_do_not_hide_the_pose():
     reference, candidate = sample_windows(2, 1.0)

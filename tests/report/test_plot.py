@@ -91,6 +91,7 @@ def test_the_reference_may_be_missing(figures, report, tmp_path):
         assert draw(copy, ("distribution",)) == [copy / "figures/distribution.png"]
 
 
+@pytest.mark.with_deformation
 def test_candidates_with_colours_are_drawn_in_them(tmp_path):
     import_or_skip("matplotlib")
     from matplotlib.image import imread

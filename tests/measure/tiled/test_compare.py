@@ -297,9 +297,7 @@ def test_a_reference_without_planes_is_refused(tmp_path, monkeypatch, count):
 def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair = pair_of(tmp_path / "pair", crop="box:50,50,50,60,60,60")
-    with pytest.raises(
-        InputError, match=r"the crop 'box:50,50,50,60,60,60' leaves none of the reference's 900 points"
-    ):
+    with pytest.raises(InputError, match=r"the crop 'box:50,50,50,60,60,60' leaves none of the reference's 900 points"):
         pair.tiled()
 
 

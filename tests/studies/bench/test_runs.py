@@ -307,7 +307,8 @@ def test_stopped_bench_keeps_finished_rows_and_no_process(bench_folder, stop_sig
     finally:
         process.kill()
     if stop_signal == signal.SIGINT:
-        assert (process.returncode, err.strip()) == (130, "interrupted")
+        # A busy machine also prints progress.
+        assert (process.returncode, err.split()[-1]) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
     assert has_ended(child)
 
