@@ -23,8 +23,9 @@ from pcbench import cli
 LONG_PAGES = {
     f"docs/howto/{name}.md"
     for name in (
-        *("checkpoints", "compare", "convert", "crop", "deformation", "field", "maps", "mvs", "plots", "python"),
-        *("register", "repeat", "report", "scenes", "splat", "stress", "tiles", "tradeoff", "views"),
+        *("change", "checkpoints", "compare", "convert", "crop", "deformation", "field", "maps", "mvs", "plots"),
+        *("python", "register", "repeat", "report", "scenes", "scripts", "splat", "stress", "synthetic", "tiles"),
+        *("tradeoff", "views"),
     )
 } | {"docs/reconstructors.md", "docs/tutorial.md"}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -156,6 +157,7 @@ def _command_words(words: list[str]) -> list[str]:
     return words[: 3 if words[1] in ("synth", "experiment") else 2]
 
 
+@pytest.mark.long
 def test_commands_of_the_readme(call, tmp_path):
     """The first command of the README works on any clouds of these names, and its make targets exist."""
     call(SHARED_COMMANDS[0], tmp_path)

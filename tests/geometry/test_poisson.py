@@ -92,6 +92,7 @@ def test_a_library_that_cannot_be_loaded_in_the_child_is_reported(monkeypatch, t
         poisson_mesh_by_meshlab(cloud_with_normals(*fibonacci_sphere(60)))
 
 
+@pytest.mark.long
 def test_decimation_keeps_a_sphere():
     mesh = sphere("pymeshlab")
     coarse = decimate(mesh, len(mesh) // 10)

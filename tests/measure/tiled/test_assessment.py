@@ -89,7 +89,7 @@ def small_windows(monkeypatch):
 
 
 # The others have the longest times, and the same kinds of terms.
-FAST_SCENES = ("changed", "sparse", "rounded")
+FAST_SCENES = ("changed", "rounded")
 
 
 @pytest.mark.parametrize(

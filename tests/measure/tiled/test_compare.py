@@ -127,7 +127,9 @@ CASES = [
     {"register": "icp"},
     {"register": "similarity"},
     {"register": "points"},
-    pytest.param({"register": "global"}, marks=pytest.mark.skipif(not HAS_KISS, reason="needs kiss_matcher")),
+    pytest.param(
+        {"register": "global"}, marks=[pytest.mark.long, pytest.mark.skipif(not HAS_KISS, reason="needs kiss_matcher")]
+    ),
     {"register": "icp", "initial": Similarity(np.eye(3), np.array([0.2, 0.1, 0.0]), 1.0)},
 ]
 

@@ -119,7 +119,8 @@ def shift(path):
     assert path.stat().st_size == before.st_size
 
 
-@pytest.mark.parametrize("name", [pytest.param("ref", marks=pytest.mark.long), "a"])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["ref", "a"])
 def test_an_input_with_another_content_and_the_same_time_starts_again(killed, tmp_path, name):
     pair, work, expected = killed
     moved = Pair(tmp_path / "moved", np.eye(3), np.eye(3))

@@ -54,7 +54,7 @@ def assert_same_bits(ours, theirs, context):
 
 # Several batches of splats per tile, rays that end, splats across the image, and an image of several tiles.
 ORDER_SCENES = [
-    pytest.param(make_scene(huge_gaussians), id="huge"),
+    pytest.param(make_scene(huge_gaussians), id="huge", marks=pytest.mark.long),
     pytest.param(make_scene(opaque_gaussians), id="opaque", marks=pytest.mark.long),
     pytest.param(make_scene(crowd), id="crowd", marks=pytest.mark.slow),
     pytest.param(

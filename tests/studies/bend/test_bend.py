@@ -282,6 +282,7 @@ def test_solutions_without_deformation_stay_in_the_picture(study):
     assert heights[0] == min(heights)
 
 
+@pytest.mark.long
 def test_small_deformations_have_a_panel_only_if_its_scale_is_finer(study, tmp_path, monkeypatch):
     import_or_skip("matplotlib")
     from pcbench.studies.bend import figure

@@ -42,6 +42,7 @@ def plane_study():
     return run_tradeoff(*plane_pair(), settings).study
 
 
+@pytest.mark.long
 def test_thinning_a_plane_doubles_the_distance_to_it(plane_study):
     """The mean distance to a Poisson process of density q on a plane is 1 / (2 sqrt(q)): at a quarter it doubles."""
     assert plane_study.exact.values["mean c→r"] == pytest.approx(0.5 / np.sqrt(8000 / 100), rel=0.05)
