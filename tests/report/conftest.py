@@ -1,3 +1,5 @@
+"""Fixture of the tests of reports."""
+
 import pytest
 
 
