@@ -45,7 +45,6 @@ def test_a_field_without_a_simple_shape_has_no_name():
     assert shape_of(field(np.full(len(X), np.nan), NOTHING, NOTHING)) is None
 
 
-@pytest.mark.long
 def test_a_dome_is_called_a_dome_with_its_figures():
     rng = np.random.default_rng(1)
     result = verdict(sample_city(60_000, rng), add_noise(add_dome(sample_city(20_000, rng), 0.2), rng), "none")
