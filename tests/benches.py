@@ -20,8 +20,8 @@ RIG = [
     for number, a in enumerate(np.radians([0, 60, 130, 200, 290]))
 ]
 TRUTH = Cloud(
-    shapes.city(10_000, seed=1)[0],
-    attributes={"visible": (shapes.city(10_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
+    shapes.city(6_000, seed=1)[0],
+    attributes={"visible": (shapes.city(6_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
     unit="m",
 )
 # Another coordinate frame: scaled, rotated and far away.

@@ -19,11 +19,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 import wording
 from budgets import checked_candidate
+from partial_comparisons import skip_deformation
 
 from pcbench import cli
 from pcbench.cli import messages
 from pcbench.comparison import pipeline
 from pcbench.errors import MissingExtra
+from pcbench.geometry import mesh_samples
 from pcbench.opengl import NoFiguresError
 from pcbench.report.plotters.window import check_window
 from pcbench.scenes.synthetic.render import check_renderer
@@ -57,7 +59,7 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Send files with module-scoped fixtures to one worker, which builds them once; distribute other tests singly.
+    """Send files with module-scoped fixtures or caches to one worker, which fills them once; distribute other tests.
 
     `--dist loadscope` would keep all files together, so the longest would determine the duration of the suite;
     `loadgroup` of pytest-xdist 3.8 has no effect under pytest 9.2.
@@ -111,7 +113,8 @@ def pytest_sessionfinish(session):
 
 @cache
 def _shares_fixtures(file):
-    return 'fixture(scope="module")' in file.read_text(encoding="utf-8")
+    text = file.read_text(encoding="utf-8")
+    return 'fixture(scope="module")' in text or "\n@cache\n" in text
 
 
 @pytest.fixture(scope="session")
@@ -150,6 +153,18 @@ def _budgets_add_up():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "Candidate", checked_candidate)
         yield
+
+
+@pytest.fixture
+def without_deformation(monkeypatch):
+    """Let comparisons test no deformation, which takes half of their time."""
+    skip_deformation(monkeypatch)
+
+
+@pytest.fixture
+def few_samples(monkeypatch):
+    """Represent a mesh as the reference by 20,000 points, in place of a million."""
+    monkeypatch.setattr(mesh_samples, "REFERENCE_SAMPLES", 20_000)
 
 
 @pytest.fixture

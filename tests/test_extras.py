@@ -113,6 +113,7 @@ def test_tests_are_skipped_if_a_library_cannot_be_loaded(monkeypatch, tmp_path):
     assert "apt-get install libusb-1.0-0" in out
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has LD_LIBRARY_PATH")
 def test_demo_skips_the_bench_without_opengl(tmp_path):
     """The loader finds empty files for EGL and OSMesa, so `dlopen` fails."""

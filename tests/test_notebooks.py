@@ -12,12 +12,12 @@ from repository import ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-MARKS = {"gao": [pytest.mark.slow], "reconstructor": [pytest.mark.long], "bend": [pytest.mark.long]}
-
-
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=MARKS.get(path.stem, []), id=path.stem) for path in NOTEBOOKS],
+    [
+        pytest.param(path, marks=pytest.mark.slow if path.stem == "gao" else pytest.mark.long, id=path.stem)
+        for path in NOTEBOOKS
+    ],
 )
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")

@@ -1,6 +1,5 @@
 """The package as installed: its import must be fast and must not load heavy libraries."""
 
-import ast
 import functools
 import re
 import subprocess
@@ -89,13 +88,9 @@ def imported_modules(folder):
     """Return all modules that the code in a folder imports, by a statement or by `pcbench.extras.require`."""
     modules = set()
     for file in (repository.ROOT / folder).rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Import):
-                modules |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                modules.add(node.module.partition(".")[0])
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", None) == "require":
-                modules |= {name.value.partition(".")[0] for name in node.args[:1] if isinstance(name, ast.Constant)}
+        text = file.read_text()
+        modules |= set(re.findall(r"^ *(?:import|from) (\w+)", text, re.MULTILINE))
+        modules |= set(re.findall(r"\brequire\(\s*\"(\w+)", text))
     return modules
 
 

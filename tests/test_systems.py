@@ -93,6 +93,7 @@ print(count)
     assert int(run_simulated(lines, setup=heavy_imports)) >= len(sources) - 3
 
 
+@pytest.mark.long
 def test_compare_gives_the_same_numbers(run_simulated, tmp_path):
     rng = np.random.default_rng(5)
     points = np.c_[rng.uniform(0, 4, (3000, 2)), rng.normal(0, 0.01, 3000)]

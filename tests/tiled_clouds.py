@@ -67,13 +67,13 @@ class ShuffledRunner:
         pass
 
     def run(self, stage, function, tasks, *, key="", title="", skip=None):
-        found = {}
+        found, types = {}, types_in(result_type(function))
         for number in self.rng.permutation(len(tasks)):
             task = tasks[number]
             self.calls.append((stage, task.name))
             arguments = pickle.loads(pickle.dumps(task.arguments))
             try:
-                found[task.name] = decode(encode(function(*arguments)), types_in(result_type(function)))
+                found[task.name] = decode(encode(function(*arguments)), types)
             except InputError as error:
                 if skip is None:
                     raise

@@ -37,7 +37,7 @@ def test_halves_of_a_real_scan_have_no_changes(file):
     assert not search(points[np.sort(rows[::2])], points[np.sort(rows[1::2])]).found
 
 
-@pytest.mark.parametrize("radius", [2.5, 15.0])
+@pytest.mark.parametrize("radius", [pytest.param(2.5, marks=pytest.mark.long), 15.0])
 def test_a_larger_offset_is_never_reported_less(radius):
     """A disc of 5 or 30 % of the extent, raised by 3 to 1,000 standard deviations of the noise."""
     reference, candidate = ground(1), ground(2)

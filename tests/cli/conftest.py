@@ -30,6 +30,13 @@ def finished(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def _no_deformation(request):
+    """Test no deformation, which takes half of a comparison, in tests that are not marked `with_deformation`."""
+    if request.node.get_closest_marker("with_deformation") is None:
+        request.getfixturevalue("without_deformation")
+
+
 @pytest.fixture
 def files(finished, tmp_path, monkeypatch):
     """Copy ref.ply, a.ply and b.ply to the current folder."""

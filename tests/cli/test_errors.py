@@ -156,6 +156,7 @@ def test_an_interrupt_leaves_no_files(files, run, monkeypatch):
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
 
 
+@pytest.mark.long
 def test_an_ascii_terminal_and_a_terminated_run(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "--no-figures"]
     environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}

@@ -98,7 +98,11 @@ def example(request, tmp_path, monkeypatch):
     return file, UNWRITABLE_FORMATS.get(extension, (None, len(POINTS)))[1]
 
 
-@pytest.mark.parametrize("example", ALL_FORMATS, indirect=True)
+@pytest.mark.parametrize(
+    "example",
+    [pytest.param(each, marks=pytest.mark.long) if each == ".gltf" else each for each in ALL_FORMATS],  # as .glb
+    indirect=True,
+)
 def test_info_and_convert(example, run):
     file, count = example
     code, out, err = run("info", file.name)

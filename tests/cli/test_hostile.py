@@ -214,6 +214,7 @@ def test_too_many_threads_are_refused(files):
     assert b"InputError: OMP_NUM_THREADS=100000" in process.stderr
 
 
+@pytest.mark.long
 def test_compare_runs_in_one_gibibyte_of_address_space(files):
     """More threads are requested than fit into the address space; too little memory gives one line."""
     script = "import resource, sys\nresource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)\n"

@@ -15,6 +15,7 @@ from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import read_matrix
 
 
+@pytest.mark.with_deformation
 def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
     assert code == 0
@@ -54,6 +55,7 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     assert "| D1 MSE |" in (files / "report/table.md").read_text()
 
 
+@pytest.mark.with_deformation
 def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     options = ("--crop", "quantile:0.9", "--register", "similarity", "--thresholds", "0.1,0.3", "--preset", "open3d")
     assert run("compare", "ref.ply", "a.ply", "b.ply", *options, "--seed", 5, "--out", "one")[0] == 0
@@ -103,6 +105,7 @@ def test_one_damaged_candidate_leaves_no_report(files, run):
     assert not (files / "new").exists()
 
 
+@pytest.mark.with_deformation
 def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(report, files, run):
     (files / "report/notes.txt").write_text("mine")
     before = {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()}
@@ -217,6 +220,7 @@ def test_a_las_candidate_gives_a_las_deviation(files, run):
     assert cloud.attributes["distance"].max() == pytest.approx(hausdorff, rel=1e-6)
 
 
+@pytest.mark.long
 def test_figures_come_with_the_report(files, run):
     import_or_skip("matplotlib")
     with drawing_here():
@@ -240,6 +244,7 @@ def test_classes_filter_las_inputs_only(files, run):
     assert is_one_line(err)
 
 
+@pytest.mark.usefixtures("few_samples")
 def test_a_mesh_file_as_the_reference(files, run):
     (files / "square.obj").write_text("v 0 0 0\nv 20 0 0\nv 20 20 0\nv 0 20 0\nf 1 2 3 4\n")
     rng = np.random.default_rng(0)

@@ -105,7 +105,14 @@ def test_no_metric_depends_on_the_cameras(facade, run):
     assert documents[0] == documents[1]
 
 
-@pytest.mark.parametrize("options", [(), ("--crop", "sphere:0,0,0,6"), ("--register", "global", "--crop", "none")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("--crop", "sphere:0,0,0,6"),
+        pytest.param(("--register", "global", "--crop", "none"), marks=pytest.mark.long),
+    ],
+)
 def test_the_cameras_stay_in_the_frame_of_the_reference(facade, run, options):
     """Registration moves the candidate, and a crop selects points: neither moves the cameras."""
     turned = pcbench.read_cloud("shifted.ply").transformed(Similarity(random_rotation(3), np.array([1.0, 2, 3])))
@@ -195,6 +202,7 @@ def test_inputs_are_not_replaced(facade, run):
     check_text(err)
 
 
+@pytest.mark.long
 def test_plot_draws_clouds_and_meshes(facade, run):
     import_or_skip("matplotlib")
     assert run("plot", "wall.ply", "--scene", "photos") == (0, "wall.png\n", "")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from command_line import is_one_line
 from optional import import_or_skip
 from wording import check_text
@@ -47,6 +48,7 @@ def test_scene_lists_its_files_and_converts_cameras(tmp_path, monkeypatch, run):
     assert not Path("other.png").exists()
 
 
+@pytest.mark.long
 def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     """Four cameras are a kilometre apart; on a sphere the distance is 0.26 % less eastwards, 0.11 % more northwards."""
     image = import_or_skip("PIL.Image")

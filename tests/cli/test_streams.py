@@ -37,7 +37,10 @@ def test_a_closed_output_is_no_error_if_nothing_is_printed(files):
 
 @pytest.mark.parametrize(
     ("unbuffered", "closed"),
-    [(False, (">&-", "2>&-", ">&- 2>&-", "2>/dev/full", ">/dev/full 2>&1")), (True, ("2>&-", ">/dev/full 2>&1"))],
+    [
+        pytest.param(False, (">&-", "2>&-", ">&- 2>&-", "2>/dev/full", ">/dev/full 2>&1"), marks=pytest.mark.long),
+        (True, ("2>&-", ">/dev/full 2>&1")),
+    ],
     ids=["buffered", "unbuffered"],
 )
 def test_exit_codes_are_the_same_without_standard_error(files, unbuffered, closed):
@@ -52,7 +55,7 @@ def test_exit_codes_are_the_same_without_standard_error(files, unbuffered, close
     ("arguments", "pipes"),
     [
         ("info a.ply", ("| head -1", "| true", "2>&1 | true", "|& head -1")),
-        ("compare ref.ply a.ply --full --no-figures", ("| head -1",)),
+        pytest.param("compare ref.ply a.ply --full --no-figures", ("| head -1",), marks=pytest.mark.long),
         ("--help", ("| true",)),
     ],
     ids=["info", "compare", "help"],

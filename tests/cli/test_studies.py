@@ -1,9 +1,11 @@
 """`pcbench demo`; tests/studies tests `bench` and `experiment`."""
 
+import pytest
 from command_line import REPORT
 from wording import check_text
 
 
+@pytest.mark.long
 def test_demo_at_a_small_size(tmp_path, run):
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo", "--no-figures", "--no-bench")
     assert code == 0

@@ -31,6 +31,7 @@ def hidden(folder):
     return {path.name for path in Path(folder).iterdir() if path.name.startswith((".", "pcbench-"))}
 
 
+@pytest.mark.with_deformation
 def test_a_tiled_report_has_the_numbers_of_memory_and_files_of_all_points(files, run):
     import_or_skip("lazrs")
     assert run("compare", "ref.ply", "a.ply", "--out", "memory", "-q")[0] == 0
@@ -76,6 +77,7 @@ def test_the_next_report_replaces_the_map_files(files, run):
     assert sorted(path.name for path in Path("report/maps").iterdir()) == [*rasters, "notes.txt"]
 
 
+@pytest.mark.long
 def test_pictures_show_all_points_from_above(files, run):
     import_or_skip("matplotlib")
     with drawing_here():

@@ -11,6 +11,7 @@ from pcbench import Cloud, write_cloud
 from pcbench.measure import plane_sample, reference
 
 
+@pytest.mark.long
 def test_settings_repeat_a_sampled_comparison(files, run, monkeypatch):
     monkeypatch.setattr(reference, "_MIN_SAMPLED_POINTS", 0)
     monkeypatch.setattr(plane_sample, "_FIRST_SIZE", 500)

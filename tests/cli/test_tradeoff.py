@@ -8,18 +8,16 @@ from wording import check_text
 ONLY = ("--only", "random both", "--levels", "50%", "--seeds", 3)
 
 
-def test_the_answer_comes_first(files, run):
-    code, out, err = run("tradeoff", "b.ply", "a.ply", *ONLY, "--tolerance", "400%", "--out", "t", "--no-figures")
+def test_the_answer_comes_first_and_the_folder_repeats_its_runs(files, run):
+    command = ("tradeoff", "b.ply", "a.ply", *ONLY, "--out", "t", "--no-figures")
+    code, out, err = run(*command, "--tolerance", "400%")
     assert code == 2 and is_one_line(err)
-    code, out, _ = run("tradeoff", "b.ply", "a.ply", *ONLY, "--tolerance", "1e-3", "--out", "t", "--no-figures")
+    code, out, _ = run(*command, "--tolerance", "1e-3")
     assert code == 0
     assert out.startswith("Nothing cheaper keeps every mean distance")
     assert "report: t/" in out
     assert {"tradeoff.md", "tradeoff.csv", "tradeoff.json"} <= {path.name for path in (files / "t").iterdir()}
-
-
-def test_json_on_standard_output(files, run):
-    code, out, _ = run("tradeoff", "b.ply", "a.ply", *ONLY, "--json", "-")
+    code, out, _ = run(*command, "--tolerance", "1e-3", "--json", "-")
     assert code == 0
     study = json.loads(out)
     assert study["schema"] == "pcbench.tradeoff/1"

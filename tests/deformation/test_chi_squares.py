@@ -63,7 +63,9 @@ def test_long_simulations_at_one_in_a_hundred_thousand(weights, value, share, er
     assert error < 0.02 * share
 
 
-@pytest.mark.parametrize("weights", [UNEQUAL_WEIGHTS, MODE_WEIGHTS, ONE_LARGE_WEIGHT])
+@pytest.mark.parametrize(
+    "weights", [UNEQUAL_WEIGHTS, MODE_WEIGHTS, pytest.param(ONE_LARGE_WEIGHT, marks=pytest.mark.long)]
+)
 def test_short_simulations_in_the_tail(weights):
     """Importance sampling: normals with a variance that moves the mean to the value whose tail is 1e-5."""
     value = chi_squares_quantile(1e-5, weights)

@@ -22,7 +22,7 @@ LEFT_HALF = Box(np.array([-300.0, -300.0, -50.0]), np.array([0.0, 300.0, 100.0])
 @pytest.fixture(scope="module")
 def clouds():
     rng = np.random.default_rng(14)
-    points = add_noise(sample_city(24_000, rng), rng), add_noise(add_dome(sample_city(12_000, rng), 0.1), rng)
+    points = add_noise(sample_city(10_000, rng), rng), add_noise(add_dome(sample_city(5_000, rng), 0.3), rng)
     return tuple(Cloud(values, unit="m") for values in points)
 
 
@@ -98,12 +98,6 @@ def test_a_seed_must_be_an_integer(seed):
         deform(np.eye(3), np.eye(3), seed=seed)
 
 
-def test_deform_is_deterministic(clouds, bent_result):
-    _, again = deform(*clouds)
-    assert again == bent_result
-    np.testing.assert_array_equal(again.field.displacements, bent_result.field.displacements)
-
-
 def test_arrays_are_clouds_without_a_unit(clouds, bent_result):
     _, result = deform(clouds[0].points, clouds[1].points)
     assert result.verdict == "non-affine"
@@ -146,6 +140,7 @@ def test_deform_writes_a_folder(clouds, bent_result, tmp_path, capsys):
     field = read_cloud(tmp_path / "bend/deformation.ply")
     table = read_cloud(tmp_path / "bend/deformation.csv")
     np.testing.assert_allclose(table.points, field.points, rtol=1e-12)
+    np.testing.assert_array_equal(table.attributes["pairs"], bent_result.field.counts)
     assert "displacement_z" in table.attributes
 
 

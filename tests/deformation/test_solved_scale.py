@@ -29,6 +29,7 @@ def test_a_scale_solved_by_control_points_is_no_deformation(clouds, tmp_path):
     assert (deformation.verdict, deformation.model) == ("none", "similarity")
 
 
+@pytest.mark.long
 def test_a_wrong_given_scale_is_a_deformation(clouds, tmp_path):
     (tmp_path / "T.txt").write_text(format_matrix(Similarity(np.eye(3), np.zeros(3), SCALE * SCALE_ERROR)))
     registration, deformation = deform(*clouds, f"matrix:{tmp_path / 'T.txt'}")

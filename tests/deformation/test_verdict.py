@@ -16,6 +16,7 @@ from pcbench.studies.stress.cells import RunPlan, build_pair
 UTM = np.array([500_000.0, 4_800_000.0, 100.0])
 
 
+@pytest.mark.long
 def test_dome_is_detected_with_its_size():
     rng = np.random.default_rng(1)
     candidate = add_dome(sample_city(20_000, rng), 0.1)
@@ -67,6 +68,7 @@ def test_verdict_on_sparse_partial_noisy_and_distant_clouds(case, dome_height):
     assert result.verdict == ("non-affine" if dome_height else "none"), result.warnings
 
 
+@pytest.mark.long
 def test_one_moved_building_is_a_change():
     rng = np.random.default_rng(4)
     candidate = sample_city(40_000, rng)
@@ -85,6 +87,20 @@ def test_one_moved_building_is_a_change():
         assert (np.abs(change.place[:2] - center) < half_size + 5).all()
 
 
+@pytest.mark.parametrize(("verdict_name", "scale", "shear"), [("similarity", 1.002, 0.0), ("affine", 1.0, 0.005)])
+def test_the_verdict_names_the_smallest_model(verdict_name, scale, shear):
+    rng = np.random.default_rng(5)
+
+    def ground(count):
+        x, y = rng.uniform(-30, 30, (2, count))
+        return add_noise(np.stack([x, y, 1.5 * np.sin(x / 3) + np.cos(y / 2.5)], axis=1), rng)
+
+    reference, candidate = ground(6_000), ground(3_000)
+    matrix = scale * np.eye(3) + shear * np.eye(3, k=1)
+    assert verdict(reference, candidate @ matrix.T, "none").verdict == verdict_name
+
+
+@pytest.mark.long
 def test_scale_counts_only_between_metric_clouds():
     rng = np.random.default_rng(5)
     reference, candidate = add_noise(sample_city(40_000, rng), rng), add_noise(1.002 * sample_city(20_000, rng), rng)
@@ -94,6 +110,7 @@ def test_scale_counts_only_between_metric_clouds():
     assert warning_codes(result) == ["scale-differs"]
 
 
+@pytest.mark.long
 def test_residual_tilt_and_scale_are_not_reported_as_a_bend():
     rng = np.random.default_rng(6)
     tilt = np.array([[1, 0, 0.002], [0, 1, 0], [-0.002, 0, 1]])
@@ -103,6 +120,7 @@ def test_residual_tilt_and_scale_are_not_reported_as_a_bend():
     assert result.verdict == "similarity"
 
 
+@pytest.mark.long
 def test_shear_is_affine():
     rng = np.random.default_rng(7)
     shear = np.array([[1, 0.003, 0], [0, 1, 0], [0, 0, 1]])
@@ -163,17 +181,17 @@ def test_too_few_points_are_undecided():
 
 
 def test_the_map_projection_is_removed_first():
-    """UTM heights follow the curvature of the Earth, a dome of 17 cm over 3 km; the scale of the grid is 0.9996."""
+    """UTM heights follow the curvature of the Earth, a dome of 70 cm over 6 km; the scale of the grid is 0.9996."""
     import_or_skip("pyproj")
     rng = np.random.default_rng(11)
 
     def terrain(count):
-        xy = rng.uniform(-1500, 1500, (count, 2))
-        z = 40 * np.sin(xy[:, 0] / 200) * np.cos(xy[:, 1] / 170) + 15 * np.sin(xy.sum(axis=1) / 90)
+        xy = rng.uniform(-3000, 3000, (count, 2))
+        z = 80 * np.sin(xy[:, 0] / 400) * np.cos(xy[:, 1] / 340) + 30 * np.sin(xy.sum(axis=1) / 180)
         return np.column_stack([xy, z])
 
-    reference_on_map = terrain(75_000) + UTM
-    candidate_on_map = terrain(25_000) + UTM
+    reference_on_map = terrain(20_000) + UTM
+    candidate_on_map = terrain(8_000) + UTM
     candidate_in_space = candidate_on_map + euclidean_offsets("EPSG:32632", candidate_on_map)
     reference = Cloud(add_noise(reference_on_map, rng), unit="m", crs="EPSG:32632")
     candidate = Cloud(add_noise(candidate_in_space, rng), unit="m")
@@ -200,6 +218,7 @@ def test_the_curvature_of_the_earth_is_correct():
     assert center_height - edge_height == pytest.approx(4243**2 / (2 * 6.37e6), rel=0.02)
 
 
+@pytest.mark.long
 def test_vegetation_classes_have_low_weight():
     rng = np.random.default_rng(12)
     ground = sample_city(12_000, rng)

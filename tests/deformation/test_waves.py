@@ -23,7 +23,7 @@ def terrain(seed, count, amplitude=0.0, length=100.0, noise=0.03):
     return np.stack([x, y, z], axis=1) + rng.normal(0, noise, (count, 3))
 
 
-@pytest.mark.parametrize("length", [60.0, 150.0])
+@pytest.mark.parametrize("length", [pytest.param(60.0, marks=pytest.mark.long), 150.0])
 def test_a_wave_is_found_with_its_length_direction_and_size(length):
     result = verdict(terrain(1, 24_000), terrain(2, 14_000, 0.10, length), "none")
     assert result.verdict == "non-affine", result.warnings

@@ -31,22 +31,30 @@ def deform_pair(make, seed, method="icp", step=1):
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["forest", pytest.param("conifer halves", marks=SLOW), "topography halves"])
 def test_halves_of_a_forest_are_not_bent(case):
     """In a cloud that fills a volume, any assumed bend finds closest points that confirm it."""
-    assert deform_pair(NULLS[case], 40).verdict == "none"
+    result = deform_pair(NULLS[case], 40)
+    assert result.verdict == "none"
+    # Both kinds of pairs are evaluated for these halves, and each cell is still listed once.
+    assert result.field.counts.sum() == result.pairs
+    assert len(np.unique(result.field.places, axis=0)) == len(result.field.places)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["city uneven, L/50", "city sparse, white", pytest.param("terrain, L/50", marks=SLOW)])
 def test_uneven_noise_sparse_edges_and_smooth_ground_are_not_reported_as_a_bend(case):
     assert deform_pair(NULLS[case], 41).verdict == "none"
 
 
+@pytest.mark.long
 def test_bend_of_a_forest_is_detected():
     result = deform_pair(BENDS["conifer bent 0.7"], 42)
     assert result.verdict == "non-affine", result.warnings
 
 
+@pytest.mark.long
 def test_subsidence_is_reported_with_its_size_and_place():
     result = deform_pair(PARTS["subsidence 1"], 43, step=2)
     assert result.verdict == "none"
@@ -66,18 +74,23 @@ def test_groups_of_adjacent_tiles():
 
 
 def test_offset_strips_are_reported():
-    result = deform_pair(PARTS["strips 0.5"], 44, step=2)
+    rng = np.random.default_rng(44)
+    reference, candidate = (add_noise(sample_city(count, rng), rng) for count in (24_000, 10_000))
+    candidate[candidate[:, 0] > 20] += [0.25, 0.15, 0.5]
+    result = verdict(reference, candidate)
     assert result.verdict == "undecided"
     assert "parts-displaced" in warning_codes(result)
     assert " 90 degrees " in check_text(result.warnings[0])
 
 
+@pytest.mark.long
 def test_clouds_that_are_not_registered_get_no_verdict():
     result = deform_pair(turned_city(3.0), 45, "none", step=4)
     assert result.verdict == "undecided"
     assert warning_codes(result)[0] in ("not-registered", "doubtful-registration")
 
 
+@pytest.mark.long
 def test_both_sizes_of_a_bend_are_correct():
     """The sizes of a dome over the ground and over the whole surface differ, because walls do not show it."""
     rng = np.random.default_rng(46)
@@ -141,20 +154,13 @@ def test_simulated_noise_has_the_expected_correlation():
 
 def test_doubtful_registration_gives_no_verdict():
     rng = np.random.default_rng(51)
-    clouds = [Cloud(add_noise(sample_city(count, rng), rng), unit="m") for count in (30_000, 10_000)]
+    clouds = [Cloud(add_noise(sample_city(count, rng), rng), unit="m") for count in (10_000, 4_000)]
     registration = register(*clouds, "none")
     sides = [Side(Surface(Index(c.points)), np.ones(len(c), dtype=bool), c) for c in clouds]
     assert residual_deformation(*sides, registration, np.zeros(3)).verdict == "none"
     doubtful_registration = replace(registration, warnings=(Notice(FAR_OFF, "far off"),))
     result = residual_deformation(*sides, doubtful_registration, np.zeros(3))
     assert (result.verdict, warning_codes(result)) == ("undecided", ["doubtful-registration"])
-
-
-def test_cells_are_listed_once():
-    """Both kinds of pairs are evaluated for these halves, and each cell is still listed once."""
-    result = deform_pair(NULLS["topography halves"], 40)
-    assert result.field.counts.sum() == result.pairs
-    assert len(np.unique(result.field.places, axis=0)) == len(result.field.places)
 
 
 def test_null_distribution_follows_heavy_tails_but_not_moved_cells():
@@ -168,6 +174,7 @@ def test_null_distribution_follows_heavy_tails_but_not_moved_cells():
     assert _null_scale(heavy, freedom) > 2.0
 
 
+@pytest.mark.long
 def test_few_tiles_of_an_undeformed_street_scan_change():
     """Tiles of a scan have heavy tails: density, incidence and curvature vary from tile to tile."""
     scan = read_cloud(data_folder("small_gicp") / "target.ply", on_warning=lambda _: None)

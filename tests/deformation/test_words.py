@@ -36,7 +36,7 @@ def flat_ground(bend, seed):
     return np.column_stack([xy, rng.normal(0, 0.01, len(xy)) + bend * np.square(xy / 20).sum(axis=1)])
 
 
-@pytest.mark.parametrize("scene", [corridor, flat_ground])
+@pytest.mark.parametrize("scene", [corridor, pytest.param(flat_ground, marks=pytest.mark.long)])
 def test_an_undetermined_pose_is_reported_before_the_verdict(scene):
     reference, undeformed, deformed = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
     registration, result = deform(reference, undeformed)
@@ -65,11 +65,14 @@ def test_a_dome_of_flat_ground_is_not_denied():
 
 @pytest.fixture(scope="module")
 def town():
-    return city(3).sample(15_000, np.random.default_rng(1))[0]
+    return city(3).sample(9_000, np.random.default_rng(1))[0]
 
 
-def test_wrong_poses_get_no_verdict(town):
-    registered = city(3).sample(8_000, np.random.default_rng(2))[0]
+@pytest.mark.long
+def test_wrong_poses_get_no_verdict():
+    town, registered = (
+        city(3).sample(count, np.random.default_rng(seed))[0] for seed, count in ((1, 15_000), (2, 8_000))
+    )
     clouds = {"right": registered, "wrong": town[::2] + [11, 7, 0]}
     comparison = compare(town, clouds, Settings(register="none"))
     candidate = comparison["wrong"]
@@ -89,7 +92,7 @@ def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
     monkeypatch.setattr(quality, "SURE_CONTRAST", 10.0)
     monkeypatch.setattr(quality, "returned_share", lambda *_, **__: 0.0)
     rng = np.random.default_rng(2)
-    flat, bent = (city(3).sample(8_000, rng)[0] for _ in range(2))
+    flat, bent = (city(3).sample(5_000, rng)[0] for _ in range(2))
     bent[:, 2] += 0.5 * np.square(bent[:, :2] / 200).sum(axis=1)
     comparison = compare(town, {"flat": flat, "bent": bent})
     text = markdown(comparison)
@@ -105,13 +108,9 @@ def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
     check_text(" ".join(answer(comparison)))
 
 
-@pytest.mark.parametrize("frame", ["local", "survey", "feet"])
+@pytest.mark.parametrize("frame", ["local", "feet"])
 def test_cloud_compared_with_itself_has_no_differences(town, frame):
-    cloud = {
-        "local": Cloud(town),
-        "survey": Cloud(town + UTM),
-        "feet": Cloud((town + UTM) / 0.3048, unit="ft"),
-    }[frame]
+    cloud = Cloud(town) if frame == "local" else Cloud((town + UTM) / 0.3048, unit="ft")
     comparison = compare(cloud, cloud)
     candidate = comparison["candidate_1"]
     assert candidate.metrics.hausdorff.symmetric_max == 0

@@ -112,6 +112,7 @@ def test_each_measurement_of_the_pages_names_code_that_exists(stale_tables):
             assert (ROOT / path).exists(), f"{measurement.place}: no {path}"
 
 
+@pytest.mark.long
 def test_command_never_fails():
     process = subprocess.run([sys.executable, SCRIPT], capture_output=True, text=True)
     assert process.returncode == 0 and process.stdout, process.stderr

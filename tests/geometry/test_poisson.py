@@ -16,6 +16,7 @@ from pcbench.geometry.meshlab import decimate
 from pcbench.geometry.poisson import poisson_mesh, poisson_mesh_by_meshlab
 
 ENGINES = {"open3d": poisson_mesh, "pymeshlab": poisson_mesh_by_meshlab}
+EACH_ENGINE = pytest.mark.parametrize("engine", ["open3d", pytest.param("pymeshlab", marks=pytest.mark.long)])
 
 
 def engine_or_skip(name):
@@ -35,7 +36,7 @@ def reconstruct_sphere(engine):
 sphere = cache(reconstruct_sphere)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@EACH_ENGINE
 def test_sphere_far_from_the_origin(engine):
     mesh = sphere(engine)
     radii = np.linalg.norm(mesh.vertices - UTM, axis=1)
@@ -46,7 +47,7 @@ def test_sphere_far_from_the_origin(engine):
     assert MeshIndex(mesh).query([UTM], signed=True).distances[0] == pytest.approx(-10, abs=0.1)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@EACH_ENGINE
 def test_an_open_surface_ends_where_its_points_end(engine):
     poisson_mesh = engine_or_skip(engine)
     points, normals = fibonacci_sphere(6000, 10.0)
@@ -58,7 +59,7 @@ def test_an_open_surface_ends_where_its_points_end(engine):
     assert MeshIndex(mesh).query(points[half]).distances.max() < spacing
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@EACH_ENGINE
 def test_reconstruction_is_reproducible(engine):
     first, second = sphere(engine), reconstruct_sphere(engine)
     np.testing.assert_array_equal(first.vertices, second.vertices)
@@ -91,6 +92,7 @@ def test_a_library_that_cannot_be_loaded_in_the_child_is_reported(monkeypatch, t
         poisson_mesh_by_meshlab(cloud_with_normals(*fibonacci_sphere(60)))
 
 
+@pytest.mark.long
 def test_decimation_keeps_a_sphere():
     mesh = sphere("pymeshlab")
     coarse = decimate(mesh, len(mesh) // 10)

@@ -224,6 +224,7 @@ print(count, in_pieces - start, peak_memory_since_reset() - start)
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems state the peak in other units")
 def test_memory_is_that_of_a_piece(tmp_path):
     import_or_skip("lazrs")

@@ -71,7 +71,9 @@ def test_more_points_are_refused(tmp_path, name):
         open_cloud(path)
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == "a.glb" else name for name in MESHES]
+)
 def test_bytes_after_a_mesh(tmp_path, name):
     if name == "a.glb":
         import_or_skip("trimesh")

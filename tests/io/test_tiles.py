@@ -182,6 +182,7 @@ def test_folder_of_a_colmap_model_stays_one(tmp_path):
     assert Source.open(tmp_path).tiles is None
 
 
+@pytest.mark.long
 def test_round_trip_through_tiles(tmp_path):
     import_or_skip("lazrs")
     points = np.random.default_rng(0).uniform((0, 0, 0), (50, 30, 5), (3000, 3))

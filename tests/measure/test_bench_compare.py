@@ -97,6 +97,7 @@ def test_lines_of_cloudcompare_separate_its_steps(sides, monkeypatch, tmp_path):
     check_text(stopped.value)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("CloudCompare") is None, reason="CloudCompare is not installed")
 def test_distances_of_cloudcompare_are_those_of_its_pose(sides, folder):
     values = sides.run_side("cloudcompare", folder)["values"]["candidate"]
@@ -120,6 +121,7 @@ def test_exponent_is_that_of_a_power_law(scaling):
     assert scaling.exponent([rows[0], stopped]) is None
 
 
+@pytest.mark.long
 def test_scaling_names_what_stopped_a_side(scaling, monkeypatch, capsys, tmp_path):
     def run(side, folder, **limits):
         size = len(read_cloud(folder / "reference.ply"))

@@ -60,6 +60,7 @@ def test_failures_are_reported(bench):
         process_tree.measure([sys.executable, "-c", "raise SystemExit('wrong input')"])
 
 
+@pytest.mark.long
 def test_large_clouds_are_tiles_of_one_surface(bench, tmp_path):
     import_or_skip("lazrs")
     large_clouds, _ = bench

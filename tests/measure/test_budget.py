@@ -223,6 +223,7 @@ def test_verdict_cannot_deny_what_most_of_the_distance_is():
     assert consistent_with(noise, equal) is equal
 
 
+@pytest.mark.long
 def test_exact_parts_cannot_hide_a_dome():
     """Walls that are exactly planar in both clouds get all robust weight, but not the word for the noisy ground."""
 

@@ -373,6 +373,7 @@ def test_a_crs_equals_its_wkt():
     assert not same_crs("EPSG:32617", "nonsense")
 
 
+@pytest.mark.usefixtures("few_samples")
 def test_a_mesh_may_be_the_reference():
     from pcbench.geometry.mesh import Mesh
 
@@ -386,6 +387,7 @@ def test_a_mesh_may_be_the_reference():
     assert comparison.candidates[0].metrics.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(0.01)
 
 
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize(("closed", "name"), [(True, "bias"), (False, "mean")])
 def test_only_signed_distances_have_a_bias(closed, name):
     """The distances to an open mesh are never negative."""

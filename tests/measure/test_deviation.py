@@ -97,6 +97,7 @@ def test_mesh_distances_of_a_sphere():
         np.testing.assert_allclose(deviation.scalars["mesh_distance"], radius - 1, atol=1e-3)
 
 
+@pytest.mark.long
 def test_poisson_map_and_poisson_d2_of_gao2025():
     import_or_skip("open3d")
     points, normals = shapes.fibonacci_sphere(20_000, 5.0)
@@ -130,6 +131,7 @@ def test_nmad_is_robust_against_outliers():
     assert Spread.of(np.zeros(0)) == Spread()
 
 
+@pytest.mark.long
 def test_the_poisson_map_by_meshlab_is_named_in_the_result():
     import_or_skip("pymeshlab")
     points, normals = shapes.fibonacci_sphere(4000, 10.0)

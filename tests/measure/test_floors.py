@@ -10,7 +10,9 @@ from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDA
 pytestmark = pytest.mark.usefixtures("without_deformation")
 
 
-@pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
+@pytest.mark.parametrize(
+    ("reference", "candidate"), [(20_000, 1_250), pytest.param(5_000, 5_000, marks=pytest.mark.long), (1_250, 20_000)]
+)
 def test_floors_of_a_poisson_plane_equal_the_closed_form(reference, candidate):
     """To a Poisson process of density d, E r^2 = 1 / (pi d) and E r = 1 / (2 sqrt d); edges are excluded."""
     rng = np.random.default_rng(reference)
@@ -92,7 +94,7 @@ def test_floors_of_coincident_points_are_zero_and_finite():
     ("name", "counts", "steps"),
     [
         ("city", (3_000, 3_000), (0.01, 0.0)),
-        ("city", (3_000, 3_000), (0.0, 0.01)),
+        pytest.param("city", (3_000, 3_000), (0.0, 0.01), marks=pytest.mark.long),
         ("torus", (3_000, 3_000), (0.01, 0.01)),
     ],
 )

@@ -95,7 +95,10 @@ def test_isolated_points_form_no_cells():
     assert partition(np.ones((3, 3))).number == 1
 
 
-@pytest.mark.parametrize("case", [Case("torus", "none", 1_500, 1_500), Case("boxes", "L/10", 1_500, 1_500)])
+@pytest.mark.parametrize(
+    "case",
+    [Case("torus", "none", 1_000, 1_000), pytest.param(Case("boxes", "L/10", 1_000, 1_000), marks=pytest.mark.long)],
+)
 def test_intervals_contain_the_expectation(case):
     """A short version of benchmarks/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
     result = coverage(case, 60)

@@ -34,7 +34,9 @@ def compute():
 """
 
 
-@pytest.mark.parametrize("loop", [NEIGHBOR_SEARCH, RASTERIZATION], ids=["neighbors", "splats"])
+@pytest.mark.parametrize(
+    "loop", [NEIGHBOR_SEARCH, pytest.param(RASTERIZATION, marks=pytest.mark.long)], ids=["neighbors", "splats"]
+)
 def test_loops_run_in_a_forked_child(loop):
     if loop is RASTERIZATION:
         import_or_skip("torch")

@@ -33,7 +33,9 @@ IDS = ["points", "patchmatch", "rasterizer", "field"]
 for_all_loops = pytest.mark.parametrize("folder", NAMESPACES, ids=IDS)
 # AVX2 is compiled for two folders, which include all headers of vectors: only these distinguish it from AVX-512.
 UNITS = [
-    pytest.param(folder, isa, id=f"{name}-{isa}")
+    pytest.param(
+        folder, isa, id=f"{name}-{isa}", marks=[] if isa == "avx512" or name == "points" else [pytest.mark.long]
+    )
     for folder, name in zip(NAMESPACES, IDS, strict=True)
     for isa in FLAGS
     if isa != "avx2" or name in ("points", "patchmatch")

@@ -16,7 +16,7 @@ SHAPES = [(4.3, 2.1, 1.7), (10.0, 9.0, 0.1), (1.0, 1.0, 0.0), (0.0, 0.0, 3.0), (
 TITLES = ("x − 635,000 [m]", "y − 5,847,000 [m]", "z [m]")
 ROTATED = {
     f"rotated {seed}": oblique_view(ViewingCameras.of(rotated(sector(-130, -50), random_rotation(seed))))
-    for seed in range(8)
+    for seed in range(4)
 }
 ALONG_AXES = {
     "from above": Viewpoint("", (0, 0, 1), (0, 1, 0)),
@@ -99,7 +99,7 @@ def test_texts_are_outside_the_picture_of_the_box(view):
 
 @EVERY_VIEW
 @pytest.mark.parametrize("size, share", [((1100, 600), 0.5), ((600, 400), 0.5), ((380, 520), 0.58)], ids=str)
-@pytest.mark.parametrize("low", [0.0, 0.777, -12.3, 1234.5])
+@pytest.mark.parametrize("low", [-12.3, 1234.5])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_texts_of_axes_do_not_overlap_and_fit_into_the_window(shape, low, size, share, view):
     """In a narrow window, texts extend into the margin, so that the box is not too small."""

@@ -71,7 +71,7 @@ def test_lighting_keeps_the_hue():
     assert np.mean(difference < 3) > 0.9  # others are edges that multisampling blends with what lies behind them
 
 
-@pytest.mark.parametrize("background", ["dark", "white"])
+@pytest.mark.parametrize("background", [pytest.param("dark", marks=pytest.mark.long), "white"])
 def test_text_axes_and_background_do_not_change(background):
     """Only pixels of the lit points differ, so that text keeps the colour of ink."""
     lit, plain = render(PILLARS, background=background), render(PILLARS, lighting=False, background=background)
@@ -96,8 +96,7 @@ def test_a_ghost_is_not_lit():
     assert abs(lit[:640][shown[:640]].mean() - plain[:640][shown[:640]].mean()) < 3
 
 
-@pytest.mark.parametrize("parallel", [True, False])
-@pytest.mark.parametrize("zoom", [1.0, 4.0])
+@pytest.mark.parametrize(("parallel", "zoom"), [(True, 4.0), (False, 1.0)])
 def test_planes_keep_their_colours_from_all_sides(parallel, zoom):
     plotter = plotter_of(PLANE)
     plotter.camera.parallel_projection = parallel
@@ -135,6 +134,7 @@ def test_lighting_can_be_switched_off_and_on():
     assert is_color(pictures[1], COLOR).sum() > is_color(pictures[0], COLOR).sum()
 
 
+@pytest.mark.long
 def test_passes_of_pyvista_replace_the_lighting_without_errors(capfd):
     plotter = plotter_of(PILLARS)
     picture_of(plotter)
@@ -149,6 +149,7 @@ def test_passes_of_pyvista_replace_the_lighting_without_errors(capfd):
     assert not capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_large_pictures_and_new_window_sizes(capfd):
     """Dots keep their size in pixels in a larger picture, so that the plane behind is seen through the roof."""
     plotter = plotter_of(PILLARS)

@@ -104,24 +104,21 @@ def test_large_coordinates_lose_no_precision():
 
 def test_every_scene_shows_something(comparison):
     reference = Cloud(comparison["a"].completeness.points, unit="m")
-    colored = Cloud(reference.points, colors=np.full((len(reference), 3), 200))
     mesh = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     field = comparison["bent"].deformation.field
     plotters = [
         pcbench.plot.cloud(reference, off_screen=True),
-        pcbench.plot.cloud(colored, off_screen=True),
         pcbench.plot.cloud(mesh, off_screen=True),
         pcbench.plot.deviation(mesh, reference, reference.points[:, 2], off_screen=True),
         pcbench.plot.displacements(reference, field.places, field.displacements, off_screen=True),
-        *(comparison.plot("bent", scalar, off_screen=True) for scalar in ("distance", "plane_distance")),
-        *(comparison.plot("bent", scalar, off_screen=True) for scalar in ("completeness", "deformation")),
+        *(comparison.plot("bent", kind, off_screen=True) for kind in ("distance", "completeness", "deformation")),
     ]
     for number, plotter in enumerate(plotters):
         shown = 1 - background_share(scene_of(render(plotter)))
         assert 0.02 < shown < 0.8, number
 
 
-@pytest.mark.parametrize("points", [[[5e5, 5e6, 1e2]], [[1, 2, 3]] * 4, [[k, 0, 0] for k in range(9)]])
+@pytest.mark.parametrize("points", [[[5e5, 5e6, 1e2]], [[k, 0, 0] for k in range(9)]])
 def test_points_without_extent_are_visible(points):
     for plotter in (
         pcbench.plot.cloud(points, off_screen=True),

@@ -112,6 +112,7 @@ def test_editing_a_plugins_package_outdates_its_stage(package, photographs, tmp_
     assert run_job() == ("made\n", 2.0)
 
 
+@pytest.mark.long
 def test_editing_a_module_next_to_a_plugin_file_outdates_its_stage(photographs, tmp_path):
     """A plugin in one file may import modules next to it, also inside a function."""
     folder = tmp_path / "loose"

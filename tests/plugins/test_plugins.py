@@ -169,6 +169,7 @@ def test_old_result_is_not_used_after_a_crash(scene, plugin, tmp_path):
     assert (result.status, result.reconstruction) == ("crashed", None)
 
 
+@pytest.mark.long
 def test_invalid_jobs_are_refused(scene, plugin, tmp_path):
     spec = plugin(
         VALID_BODY, "n: int = 2\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None"

@@ -74,6 +74,7 @@ def test_a_shift_in_a_forest_is_doubtful(shift):
     check_text(text)
 
 
+@pytest.mark.long
 def test_a_mirror_image_is_doubtful():
     reference, candidate = sample_bumpy_ball(20_000, 0), sample_bumpy_ball(20_000, 1) * [-1, 1, 1]
     for method in ("icp", "similarity"):
@@ -174,7 +175,9 @@ def scan_street(eye, lines, steps, noise, seed):
     return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[in_range]
 
 
-@pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (64, 450, 0.03)])
+@pytest.mark.parametrize(
+    ("lines", "steps", "noise"), [(16, 900, 0.015), pytest.param(64, 450, 0.03, marks=pytest.mark.long)]
+)
 def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
     """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
     reference = scan_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)

@@ -70,7 +70,7 @@ def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
     assert "the scale" in check_text(result.warnings[0].text)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_solved_scale_that_the_geometry_does_not_fix_is_doubtful(seed):
     """A round hill with noise as large as the spacing: closest points may shrink the candidate by a tenth."""
     rng = np.random.default_rng(seed)

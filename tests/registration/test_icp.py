@@ -84,6 +84,7 @@ def test_far_coordinates_change_nothing(scene):
     np.testing.assert_allclose(moved, near.T_reference_candidate.apply(candidate), atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_real_lidar_pair_is_registered():
     folder = data_folder("small_gicp")
     reference, candidate = read_cloud(folder / "target.ply"), read_cloud(folder / "source.ply")

@@ -190,6 +190,7 @@ def test_the_bounding_box_is_recommended_only_if_points_are_outside():
     assert "--crop reference" not in text
 
 
+@pytest.mark.with_deformation
 def test_a_small_overlap_is_reported_with_the_crop_option():
     points = shapes.terrain(3000, seed=1)[0]
     wide = compare(points, {"a": shapes.terrain(3000, seed=2)[0] * [2.0, 2.0, 1.0]}, NO_REGISTRATION)

@@ -111,6 +111,7 @@ def test_the_extent_does_not_depend_on_the_cell_size(clouds, monkeypatch):
     assert rounding_limit(coarse_comparison) == rounding_limit(comparison) == 1e-9 * comparison.reference.extent
 
 
+@pytest.mark.with_deformation
 def test_the_seed_changes_only_sampling_floors_and_cross_validation():
     """As the help of --seed says; a mesh as the reference is sampled by it too."""
     reference, candidate = (shapes.city(count, noise=0.02, seed=count)[0] for count in (6000, 700))

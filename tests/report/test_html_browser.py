@@ -264,6 +264,7 @@ def test_collapsed_sections_are_printed_and_nothing_is_cut(browser, comparison, 
         browser.call("Emulation.setEmulatedMedia", media="")
 
 
+@pytest.mark.long
 def test_buttons_cover_no_values_on_a_phone(browser, path):
     browser.open(path, width=380, height=800)
     rows = browser.run(

@@ -424,6 +424,7 @@ def test_a_wall_is_seen_from_its_front_and_fills_the_view(browser, facade, tmp_p
     is_seen_from_its_front()
 
 
+@pytest.mark.long
 def test_a_tile_of_a_wall_is_outlined_on_the_wall(browser, facade, tmp_path):
     write_page(tmp_path / "page.html", facade)
     browser.open(tmp_path / "page.html")

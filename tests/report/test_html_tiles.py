@@ -125,7 +125,7 @@ def test_numbers_on_tiles_are_readable(comparison):
         assert abs(luminance(tile.color) - {"#000": 0, "#fff": 255}[tile.ink]) > 110
 
 
-@pytest.mark.parametrize("angle_deg", [30, 90, 160])
+@pytest.mark.parametrize("angle_deg", [30, pytest.param(160, marks=pytest.mark.long)])
 def test_a_wall_is_mapped_along_its_own_axes(angle_deg):
     rng = np.random.default_rng(3)
     along, height = rng.uniform(0, 20, 6000), rng.uniform(0, 8, 6000)

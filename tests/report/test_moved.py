@@ -28,7 +28,7 @@ def test_registration_states_the_settlement_that_it_removed(crs):
     assert not list(remarks(comparison))  # it is stated once
 
 
-@pytest.mark.parametrize("lowered", [0.05, 0.3])
+@pytest.mark.parametrize("lowered", [0.05, pytest.param(0.3, marks=pytest.mark.long)])
 def test_given_coordinates_have_a_signed_offset(lowered):
     comparison = settled(lowered, register="none")
     first, how_far, *_ = answer(comparison)

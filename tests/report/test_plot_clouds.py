@@ -29,7 +29,7 @@ def facade():
 
 
 def town():
-    points = shapes.city(40_000, seed=1)[0]
+    points = shapes.city(20_000, seed=1)[0]
     return Cloud(points, attributes={"height": points[:, 2]})
 
 
@@ -51,7 +51,8 @@ def in_frame(scene, seed):
 
 
 @pytest.mark.parametrize(
-    ("scene", "scalar"), [("facade", None), ("town", None), ("town", "height"), ("survey", "height")]
+    ("scene", "scalar"),
+    [("facade", None), pytest.param("town", "height", marks=pytest.mark.long), ("survey", "height")],
 )
 def test_pictures_do_not_depend_on_the_frame_of_cloud_and_cameras(scene, scalar, tmp_path):
     one, other = (picture(tmp_path / "a.png", *in_frame(scene, seed), scalar=scalar) for seed in (8, 12))
@@ -98,7 +99,6 @@ def test_heights_are_along_the_up_direction(tmp_path):
     [
         (np.linspace(0, 100, 400), ["0", "80"]),
         (np.linspace(-5, 4, 400), ["−4", "4"]),
-        (np.linspace(1e9 - 50, 1e9, 400), []),
         (np.where(np.arange(400) % 2, np.nan, 7.0), []),
         (np.zeros(400), []),
         (np.full(400, -1e9), []),
@@ -118,7 +118,6 @@ def test_attributes_of_all_ranges_are_drawn(values, ticks, tmp_path):
     [
         ("classification", np.arange(400, dtype=np.uint8) % 2 + 1, ["1 unclassified", "2 ground"]),
         ("classification", np.where(np.arange(400) % 3, 6.0, np.nan), ["6 building"]),
-        ("classification", np.arange(400, dtype=np.uint8) % 12 + 60, [str(code) for code in range(60, 72)]),
         ("return number", np.arange(400, dtype=np.uint8) % 4 - 1, ["0", "1", "2", "255"]),
     ],
 )

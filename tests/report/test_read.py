@@ -63,6 +63,7 @@ def test_a_damaged_verdict_is_one_line(tmp_path):
             read_deformation(tmp_path)
 
 
+@pytest.mark.with_deformation
 def test_a_report_is_read_upright_with_its_displacements(tmp_path):
     """In the upright frame of the cameras, whatever the frame of the reference, which the viewer keeps."""
     points = shapes.city(4000, seed=1)[0]

@@ -35,6 +35,7 @@ def has_warning(comparison):
     return any(notice.code == COARSE_STEP for notice in comparison.candidates[0].registration.warnings)
 
 
+@pytest.mark.long
 def test_rounding_is_named_as_what_explains_the_distances():
     comparison = compare(single(hills(0)), {"a": single(hills(1))})
     d2 = comparison["a"].metrics.d2_mse
@@ -82,6 +83,7 @@ def test_steps_are_a_warning_where_they_matter_for_the_numbers(step, noise, spac
     assert any(found) == is_coarse
 
 
+@pytest.mark.long
 def test_tiles_have_the_steps_floors_and_warnings_of_the_memory(tmp_path):
     clouds = [single(hills(0)), np.round(hills(1), 1)]
     for name, cloud in zip("ra", clouds, strict=True):

@@ -139,6 +139,7 @@ def test_a_doubtful_pose_is_marked_in_its_row(six_candidates, print_candidates):
     assert "pose" not in print_candidates("a", "b", "c")[1][1]
 
 
+@pytest.mark.with_deformation
 def test_a_small_overlap_is_printed_above_the_numbers(run_compare):
     above, _, _, _ = run_compare("beyond")
     assert "--crop reference" in check_text(" ".join(" ".join(above).split()))
@@ -192,6 +193,7 @@ def test_numbers_below_r_to_c_are_of_that_direction():
     assert {"map m3c2: bias", "significant share", "rmse", "overlap", "detectable RMS"} <= labels
 
 
+@pytest.mark.with_deformation
 def test_the_folder_with_all_results_is_named(run_compare):
     out = check_text(run_compare("a", options=["--out", "kept"])[2])
     for name in ("table.md", "comparison.json", "metrics.csv", "*_deviation.ply", "*_T.txt"):

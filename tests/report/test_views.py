@@ -233,7 +233,7 @@ def test_a_section_at_the_border_stays_inside_the_scene():
     assert found.length > 20
 
 
-@pytest.mark.parametrize("angle_deg", [0, 30, 100])
+@pytest.mark.parametrize("angle_deg", [30, pytest.param(100, marks=pytest.mark.long)])
 def test_a_section_of_a_wall_is_perpendicular_to_it(angle_deg, tmp_path, monkeypatch):
     import_or_skip("matplotlib")
     angle = np.radians(angle_deg)

@@ -96,6 +96,7 @@ def test_settings_out_of_range_are_refused(values):
         CitySettings(**values)
 
 
+@pytest.mark.long
 def test_zero_texture_gives_plain_surfaces():
     plan = lay_out(replace(SMALL_CITY, texture=0.0))
     plain_painter, rich_painter = Painter(plan.settings), Painter(SMALL_CITY)

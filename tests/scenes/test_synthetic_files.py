@@ -131,6 +131,7 @@ def test_scene_is_written_to_new_folders_only(scene, tmp_path):
 TINY_OPTIONS = "--images 2 --size 80x50 --extent 100 --points 1000 -q"
 
 
+@pytest.mark.long
 def test_the_command_gives_the_same_bytes(run, scene, tmp_path):
     options = [
         "--images",

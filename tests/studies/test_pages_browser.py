@@ -50,7 +50,7 @@ def write_bench(folder):
     return 1  # no accuracy in these rows
 
 
-@pytest.fixture(scope="module", params=[write_stress, write_bench])
+@pytest.fixture(scope="module", params=[pytest.param(write_stress, marks=pytest.mark.long), write_bench])
 def page(request, tmp_path_factory):
     """Path of a page and the number of its pictures."""
     import_or_skip("matplotlib")

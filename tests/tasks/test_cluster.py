@@ -28,15 +28,24 @@ from pcbench.tasks.calls import ConnectionLost
 distributed = import_or_skip("distributed")
 
 
-def local_cluster():
-    return distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
-    )
+def local_cluster(**options):
+    return distributed.LocalCluster(threads_per_worker=1, dashboard_address=":0", host="127.0.0.1", **options)
+
+
+def with_threads(count):
+    """Return a cluster of workers in this process, which start in a tenth of the time of processes."""
+    return local_cluster(n_workers=count, processes=False, protocol="tcp://")
 
 
 @pytest.fixture(scope="module")
 def address():
-    with local_cluster() as local:
+    with with_threads(2) as local:
+        yield local.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def address_of_processes():
+    with local_cluster(n_workers=2, processes=True) as local:
         yield local.scheduler_address
 
 
@@ -48,6 +57,12 @@ def folder(tmp_path):
 @pytest.fixture
 def runner(address, folder):
     with TaskRunner(Workers(cluster=address), folder) as runner:
+        yield runner
+
+
+@pytest.fixture
+def runner_of_processes(address_of_processes, folder):
+    with TaskRunner(Workers(cluster=address_of_processes), folder) as runner:
         yield runner
 
 
@@ -64,10 +79,13 @@ def test_results_are_stored_and_ordered(runner, tmp_path):
     for _ in range(2):
         assert values(runner.run("stage", task_functions.slow, tasks)) == list(range(8))
     assert sorted(task_functions.calls(tmp_path)) == list(range(8))
+
+
+@pytest.mark.long
+def test_all_workers_have_tasks_and_one_thread(runner_of_processes, tmp_path):
+    runner = runner_of_processes
+    runner.run("slow", task_functions.slow, numbered(8, str(tmp_path), after=(0.1,)))
     assert len(task_functions.worker_ids(tmp_path)) == 2
-
-
-def test_workers_have_one_thread(runner):
     (result,) = values(runner.run("stage", task_functions.thread_counts, [Task("a", ())]))
     assert result == (0, 1, "1")
 
@@ -85,16 +103,20 @@ def test_errors_and_skipped_tasks(runner):
         runner.run("wrong", task_functions.wrong, numbered(1))
 
 
-def test_tasks_of_a_killed_worker_run_again(runner, tmp_path):
+@pytest.mark.long
+def test_tasks_of_a_killed_worker_run_again(runner_of_processes, tmp_path):
     tasks = numbered(6, str(tmp_path), after=(2, 1))
-    assert values(runner.run("stage", task_functions.ended, tasks)) == list(range(6))
+    assert values(runner_of_processes.run("stage", task_functions.ended, tasks)) == list(range(6))
     assert task_functions.calls(tmp_path).count(2) == 2
 
 
 @pytest.mark.long
 def test_a_task_that_ends_its_workers_is_an_error(tmp_path, folder):
     """On a separate cluster: Dask does not always start workers again that end while they start."""
-    with local_cluster() as local, TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner:
+    with (
+        local_cluster(n_workers=2, processes=True) as local,
+        TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner,
+    ):
         with check_error(WorkerError):
             runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
     assert task_functions.calls(tmp_path) == [0, 0, 0, 0]
@@ -119,7 +141,7 @@ def test_tasks_in_flight_are_bounded(address, tmp_path):
 
 
 def test_no_scheduler(folder, monkeypatch):
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.3)
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
     for address in ("tcp://127.0.0.1:9", "nonsense://a", "no-such-file.json"):
         with TaskRunner(Workers(cluster=address), folder) as runner, check_error():
             runner.run("stage", task_functions.square, numbered(1))
@@ -143,18 +165,16 @@ def unclosed():
 def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
     before = unclosed()
-    for _ in range(3):
-        with pytest.raises(InputError):
-            cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
-        assert unclosed() <= before
+    with pytest.raises(InputError):
+        cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
+    assert unclosed() <= before
     assert gc.isenabled()
 
 
+@pytest.mark.long
 def test_lost_connections_leave_nothing_to_the_collector(monkeypatch, eager_collector):
     before = unclosed()
-    with distributed.LocalCluster(
-        n_workers=0, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
-    ) as local:
+    with with_threads(0) as local:
         pool = cluster.ClusterWorkers(local.scheduler_address, None, lambda _: None)
         monkeypatch.setattr(pool._client, "close", lambda _: 1 / 0)
         lost = pool._client
@@ -195,8 +215,9 @@ def test_dask_is_missing(tmp_path):
 
 
 def test_workers_with_other_versions(runner, monkeypatch):
-    own = cluster._versions()
-    monkeypatch.setattr(cluster, "_versions", lambda: {**own, "numpy": "1.0"})
+    own, main = cluster._versions(), threading.main_thread()
+    other = {**own, "numpy": "1.0"}  # of the client: the workers are other threads
+    monkeypatch.setattr(cluster, "_versions", lambda: other if threading.current_thread() is main else own)
     with pytest.raises(WorkerError) as caught:
         runner.run("stage", task_functions.square, numbered(1))
     assert "\n" not in str(caught.value)
@@ -341,9 +362,7 @@ def test_a_scheduler_that_does_not_return(tmp_path, folder, monkeypatch, capfd):
 
 def test_a_cluster_without_workers(tmp_path, folder):
     steps = []
-    with distributed.LocalCluster(
-        n_workers=0, threads_per_worker=1, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
-    ) as local:
+    with with_threads(0) as local:
 
         def progress(text):
             steps.append(text.replace(local.scheduler_address, "ADDRESS"))
@@ -413,6 +432,7 @@ def test_the_local_cluster_of_the_page(tmp_path):
     assert (tmp_path / "report" / "comparison.json").exists()
 
 
+@pytest.mark.long
 def test_the_job_of_the_page(tmp_path):
     pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
     script = _script("slurm.py", tmp_path)
@@ -422,6 +442,7 @@ def test_the_job_of_the_page(tmp_path):
     assert "#SBATCH -p compute" in output and "--nthreads 1 --memory-limit 4.00GiB" in output
 
 
+@pytest.mark.long
 def test_the_pods_of_the_page(tmp_path):
     pytest.importorskip("dask_kubernetes", reason="dask-kubernetes is not installed")
     spec = json.loads(_run_python([_script("kubernetes.py", tmp_path)], tmp_path))

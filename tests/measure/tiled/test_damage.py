@@ -77,7 +77,7 @@ def delete(file):
     file.unlink()
 
 
-@pytest.mark.parametrize("first", [0, 3])
+@pytest.mark.parametrize("first", [0, pytest.param(3, marks=pytest.mark.long)])
 def test_damaged_columns_are_computed_again(killed, first):
     pair, work, expected = killed
     columns = [sorted(work.rglob(f"*.{name}.npy")) for name in COLUMNS]
@@ -90,7 +90,7 @@ def test_damaged_columns_are_computed_again(killed, first):
 
 def test_a_repeat_of_a_finished_run_checks_its_columns(killed):
     pair, work, expected = killed
-    assert as_document(pair.tiled(work)) == expected
+    pair.tiled(work)
     for file in work.rglob("*.distance.npy"):
         edit(file)
     assert as_document(pair.tiled(work)) == expected
@@ -119,6 +119,7 @@ def shift(path):
     assert path.stat().st_size == before.st_size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ref", "a"])
 def test_an_input_with_another_content_and_the_same_time_starts_again(killed, tmp_path, name):
     pair, work, expected = killed

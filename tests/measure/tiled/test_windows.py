@@ -135,7 +135,9 @@ def test_a_candidate_in_a_corner_is_registered_there(tmp_path, small_windows):
     assert tiled["corner"].points == len(corner)
 
 
-@pytest.mark.parametrize("kind", ["icp", "matrix", "similarity"])
+@pytest.mark.parametrize(
+    "kind", [*(pytest.param(kind, marks=pytest.mark.long) for kind in ("icp", "matrix")), "similarity"]
+)
 def test_methods_of_registration_in_windows(tmp_path, small_windows, kind):
     rng = np.random.default_rng(1)
     points = surface(rng, 15_000)
@@ -152,6 +154,7 @@ def test_methods_of_registration_in_windows(tmp_path, small_windows, kind):
     assert tiled["a"].metrics.directed["d2_mse"][WAYS[0]].value == pytest.approx(0.02**2, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_region_smaller_than_a_window(tmp_path, small_windows):
     rng = np.random.default_rng(2)
     points = surface(rng, 15_000)
@@ -215,6 +218,7 @@ def test_a_dense_candidate_is_thinned_by_the_workers(tmp_path, small_windows, mo
     assert 0 < sum(returned) < 11_000
 
 
+@pytest.mark.long
 def test_halves_of_one_cloud_are_not_deformed_in_windows(tmp_path, monkeypatch):
     shrink_windows(monkeypatch)
     rng = np.random.default_rng(4)

@@ -145,6 +145,7 @@ print(failures, result == expected)
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_running_out_of_memory_raises_a_memory_error():
     """Each large allocation fails once; the final result is that without a limit."""

@@ -89,6 +89,7 @@ class FakeColmap:
                 self.matched_images.append(name)
 
 
+@pytest.mark.long
 def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
     fake = FakeColmap(list(scene.cameras.values()))

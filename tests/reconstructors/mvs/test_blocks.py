@@ -81,6 +81,7 @@ def test_blocks_yield_the_cloud_of_a_single_one_except_at_their_borders(plane, t
     np.testing.assert_array_equal(np.unique(cloud.attributes["views"]), [3, 4, 5])
 
 
+@pytest.mark.long
 def test_a_killed_run_resumes_with_the_next_block(plane, tmp_path, monkeypatch):
     images, _ = plane
     (tmp_path / "whole").mkdir()

@@ -98,6 +98,7 @@ def test_tilted_plane_is_recovered(tmp_path):
     assert np.abs(error).max() < 0.5 * 0.033
 
 
+@pytest.mark.long
 def test_city_is_recovered(tmp_path):
     """The error is a tenth of a pixel's footprint, and all surface is covered that three cameras observe."""
     city = build_city(CitySettings(extent=100.0, seed=2), texel=4.0)

@@ -195,7 +195,7 @@ def test_failures_are_explained(completed_run, workspace, photographs, tmp_path,
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
 
 
-@pytest.mark.parametrize("poses", ["given", "solve"])
+@pytest.mark.parametrize("poses", ["given", pytest.param("solve", marks=pytest.mark.long)])
 def test_two_images_are_enough(photographs, tmp_path, monkeypatch, poses):
     """Points of two images are those on which both agree, and a note says that none confirms them."""
     scene = read_scene(photographs).select(["001.png", "002.png"])

@@ -116,7 +116,7 @@ def test_untextured_plane_has_no_confidence():
     assert np.mean(match(scene.views[0], scene.views[1:], (5.0, 20.0)).confidence > 0) < 0.01
 
 
-@pytest.mark.parametrize("sigma", [0.5, 6])
+@pytest.mark.parametrize("sigma", [pytest.param(0.5, marks=pytest.mark.long), 6])
 def test_noise_variance_ignores_texture(sigma):
     flat = plane_scene(contrast=0, noise=sigma).views[0].gray
     assert noise_variance(flat) == pytest.approx(sigma**2 + 1 / 12, rel=0.35)

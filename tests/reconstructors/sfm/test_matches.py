@@ -47,6 +47,7 @@ def _match_and_read(features, scene, workspace):
     return rows, names
 
 
+@pytest.mark.long
 def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_path, monkeypatch):
     monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     results = []

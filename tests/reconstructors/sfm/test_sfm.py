@@ -85,6 +85,7 @@ def test_solved_poses_are_accurate(photographs, workspace, mapping):
     assert np.median(corner.distances(reconstruction.cloud.points)) < 0.008
 
 
+@pytest.mark.long
 def test_the_gauge_is_arbitrary_without_cameras_or_positions(photographs, workspace):
     scene = read_scene(photographs, cameras="none")
     reconstruction = ColmapSfm(**QUICK).reconstruct(scene, workspace)
@@ -105,14 +106,8 @@ def test_the_gauge_is_arbitrary_without_cameras_or_positions(photographs, worksp
         ColmapSfm(align="gps", **QUICK).reconstruct(scene, workspace)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        pytest.param({"poses": "solve"}, marks=pytest.mark.long),
-        pytest.param({"poses": "solve", "mapping": "global"}, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("settings", [{}, {"poses": "solve"}, {"poses": "solve", "mapping": "global"}])
 def test_the_same_input_gives_the_same_cloud(photographs, workspace, tmp_path, settings):
     scene = read_scene(photographs)
     reconstructions = [ColmapSfm(**QUICK, **settings).reconstruct(scene, folder) for folder in (workspace, tmp_path)]
@@ -155,6 +150,7 @@ def test_gps_gives_a_metric_frame(photographs, workspace):
     assert np.median(np.abs(reconstruction.cloud.points - corner_position).min(axis=1)) < 0.5
 
 
+@pytest.mark.long
 def test_given_positions_define_the_frame(photographs, workspace):
     truth = read_scene(photographs).cameras
     positions = {name: 10 * camera.position + [100, 200, 300] for name, camera in truth.items()}
@@ -353,6 +349,7 @@ def test_other_intrinsics_reuse_features_and_matches(photographs, tmp_path):
     assert errors[1] > 3 * errors[0]
 
 
+@pytest.mark.long
 def test_wrong_poses_are_refused(photographs, tmp_path):
     scene = read_scene(photographs)
     names = list(scene.images)

@@ -62,6 +62,7 @@ def test_a_truncated_stage_is_recomputed(photographs, workspace, file_name):
     assert (workspace / file_name).stat().st_size == size
 
 
+@pytest.mark.long
 def test_a_file_size_limit_is_an_error_and_leaves_no_stage(photographs, tmp_path):
     """The limit is set before COLMAP writes the model, whose file of images exceeds it."""
     code = f"""

@@ -26,7 +26,9 @@ from reconstructors.splat.photographs import Photograph  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
 
-@pytest.mark.parametrize(("count", "width", "height"), [(600, 70, 43), (40, 16, 16)])
+@pytest.mark.parametrize(
+    ("count", "width", "height"), [pytest.param(600, 70, 43, marks=pytest.mark.long), (40, 16, 16)]
+)
 def test_a_step_in_plain_torch_has_the_same_image_and_gradients(count, width, height):
     picture = make_picture(count, width, height)
     ours, plain = Ours(picture), PlainTorch(picture)

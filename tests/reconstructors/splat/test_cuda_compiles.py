@@ -38,7 +38,9 @@ def assert_code_of(cubin, kernel):
     assert f".text.{kernel.name}\0".encode() in cubin
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize(
+    "architecture", [ARCHITECTURES[0], *(pytest.param(each, marks=pytest.mark.long) for each in ARCHITECTURES[1:])]
+)
 @pytest.mark.parametrize("kernel", LARGEST_VARIANTS, ids=lambda kernel: kernel.name)
 def test_every_kernel_compiles(nvrtc, kernel, architecture):
     assert_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)

@@ -54,8 +54,8 @@ def assert_same_bits(ours, theirs, context):
 
 # Several batches of splats per tile, rays that end, splats across the image, and an image of several tiles.
 ORDER_SCENES = [
-    pytest.param(make_scene(huge_gaussians), id="huge"),
-    pytest.param(make_scene(opaque_gaussians), id="opaque"),
+    pytest.param(make_scene(huge_gaussians), id="huge", marks=pytest.mark.long),
+    pytest.param(make_scene(opaque_gaussians), id="opaque", marks=pytest.mark.long),
     pytest.param(make_scene(crowd), id="crowd", marks=pytest.mark.slow),
     pytest.param(
         scattered_cloud(np.random.default_rng(5), count=600, width=64, height=64, degree=2),

@@ -38,6 +38,7 @@ def new_training(pictures, model, steps, *, compensate=True):
     )
 
 
+@pytest.mark.long
 def test_gains_are_found_and_colors_are_right():
     """Gains are relative to each other: their geometric mean is 1."""
     model, pictures = exposed_photographs()

@@ -90,6 +90,7 @@ def test_a_depth_is_correct_up_to_two_pixel_footprints():
     assert score_surface(depths)(training, [photograph, other]) == score_surface(depths)(training, [photograph])
 
 
+@pytest.mark.long
 def test_the_surface_of_a_plane_needs_fewer_gaussians_than_its_views():
     scene = plane_scene(patches=30)
     held_out = (1, 4, 7, 10)

@@ -291,6 +291,7 @@ def test_torch_is_imported_on_first_use(monkeypatch):
         rasterize(*scene.arrays, scene.camera)
 
 
+@pytest.mark.long
 def test_a_graph_alive_at_exit_prints_nothing():
     """Torch keeps it and its rasterizer; nanobind must not report them as leaks."""
     script = """

@@ -71,6 +71,7 @@ def test_the_model_is_determined_by_the_seed():
     assert first == second != other
 
 
+@pytest.mark.long
 def test_training_converges_when_the_photographs_no_longer_improve(tmp_path):
     stopped_early, uninterrupted = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
     stopped_early.run(400)

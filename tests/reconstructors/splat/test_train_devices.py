@@ -98,7 +98,9 @@ def assert_similar(ours, theirs, order, tolerance=1e-4):
     np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * tolerance)
 
 
-@pytest.mark.parametrize("steps", [65, pytest.param(STEPS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "steps", [pytest.param(65, marks=pytest.mark.long), pytest.param(STEPS, marks=pytest.mark.slow)]
+)
 def test_emulated_training_equals_that_of_the_cpu(steps, monkeypatch):
     cpu_training, kernels = new_training(), EmulatedCuda()
     before = psnr(cpu_training)
@@ -142,6 +144,7 @@ class MetaEmulator(Emulator):
         self.launched.append(kernel.name)
 
 
+@pytest.mark.long
 def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     """Tensors on the device `meta` have no values, and most operations refuse to mix them with those of the CPU."""
     kernels = EmulatedCuda(emulator=MetaEmulator)

@@ -7,6 +7,7 @@ import pytest
 import shapes
 from benches import METHODS, RIG, TRUTH
 from optional import import_or_skip
+from partial_comparisons import skip_deformation
 
 from pcbench import Cloud, write_cloud
 from pcbench.children import ChildResult
@@ -37,10 +38,11 @@ def truth(bench_folder):
 
 @pytest.fixture
 def in_process(monkeypatch):
-    """Run reconstructors in this process, which saves half a second each, for tests of the bench alone.
+    """Run reconstructors in this process and measure no deformation, which saves a second each.
 
     Tests without this fixture show that separate processes protect the bench from crashes.
     """
+    skip_deformation(monkeypatch)
 
     def run_module(name, *arguments, limits, environment=None, log=None):
         with io.TextIOWrapper(io.BytesIO() if log is None else io.FileIO(os.dup(log.fileno()), "w")) as output:

@@ -62,6 +62,7 @@ def test_failure_labels_do_not_overlap(draw_chart, times):
             assert frame.y0 - 1 <= box.y0 < box.y1 <= frame.y1 + 1
 
 
+@pytest.mark.long
 def test_overlapping_failure_crosses_are_counted(draw_chart):
     rows = [row("good", 2.0, 0.5), *(row("bad", 5.0 + 0.001 * n, None, "crashed", seed=n) for n in range(9))]
     for texts in failure_labels(draw_chart(rows)):

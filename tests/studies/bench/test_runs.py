@@ -149,18 +149,18 @@ def test_finished_runs_are_reused(bench_folder, run, in_process):
 
 
 @pytest.mark.parametrize("name", ["outcome.json", "cloud.ply", "run.json", "score.json"])
-@pytest.mark.parametrize("content", [None, "[]", "{}"])
-def test_damaged_run_is_repeated(bench_folder, in_process, name, content):
-    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
-    first_row = run_bench(bench_job)["rows"][0]
-    (file,) = Path("out").glob(f"runs/*/{name}")
-    file.unlink()
-    if content is not None:
-        file.write_text(content)
-    repeated_row = run_bench(bench_job)["rows"][0]
-    assert (repeated_row["status"], repeated_row["fscore"]) == ("ok", first_row["fscore"])
+def test_damaged_run_is_repeated(bench_folder, in_process, name):
+    first_row = run_bench(job("Good"))["rows"][0]
+    for content in (None, "{}") if name == "cloud.ply" else ("[]", "{}"):
+        (file,) = Path("out").glob(f"runs/*/{name}")
+        file.unlink()
+        if content is not None:
+            file.write_text(content)
+        repeated_row = run_bench(job("Good"))["rows"][0]
+        assert (repeated_row["status"], repeated_row["fscore"]) == ("ok", first_row["fscore"])
 
 
+@pytest.mark.long
 def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
     actions = (
         "(workspace.parent / 'outcome.json').write_text('{}'); os._exit(0)",
@@ -292,7 +292,7 @@ class Passing:
     assert run_bench(bench_job)["rows"][0]["status"] == "ok"
 
 
-@pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("stop_signal", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.long)])
 def test_stopped_bench_keeps_finished_rows_and_no_process(bench_folder, stop_signal):
     command = [sys.executable, "-m", "pcbench.cli", "bench", "photos", "--reference", "truth.ply", "--out", "out"]
     command += ["--method", "methods.py:Good", "--method", "methods.py:Hang"]
@@ -307,7 +307,8 @@ def test_stopped_bench_keeps_finished_rows_and_no_process(bench_folder, stop_sig
     finally:
         process.kill()
     if stop_signal == signal.SIGINT:
-        assert (process.returncode, err.strip()) == (130, "interrupted")
+        # A busy machine also prints progress.
+        assert (process.returncode, err.split()[-1]) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
     assert has_ended(child)
 

@@ -20,6 +20,8 @@ from pcbench.studies.bench import score as scoring
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, choose_alignment
 from pcbench.studies.bench.truth import read_truth, visible_mask
 
+pytestmark = pytest.mark.usefixtures("without_deformation")
+
 
 def score(truth, reconstruction, folder, rules=None):
     return scoring.score(EvaluationProtocol.from_rules(truth, rules or Rules()), reconstruction, folder)

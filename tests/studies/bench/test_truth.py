@@ -183,6 +183,7 @@ def test_scores_are_invariant_to_large_coordinates(tmp_path):
     assert scores.thresholds[0].precision == expected.thresholds[0].precision
 
 
+@pytest.mark.usefixtures("few_samples")
 def test_mesh_of_the_scene_is_used(bench_folder, in_process):
     from benches import RIG, run_bench
 

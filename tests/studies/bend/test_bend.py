@@ -165,8 +165,12 @@ def test_verdicts_of_doubtful_registrations_are_conditional(study):
     assert sentence_with(*measured).startswith("If the poses are right (the registrations are doubtful), the cause is ")
 
 
-def test_control_points_are_marked_well_inside_the_images():
-    town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
+@pytest.fixture(scope="module")
+def town():
+    return build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
+
+
+def test_control_points_are_marked_well_inside_the_images(town):
     surface = MeshIndex(town.mesh)
     cameras = rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)
     lines = list(_control_lines(cameras, surface, surface_cloud(town.plan, surface, cameras, 3000), 0))
@@ -220,9 +224,8 @@ def test_intrinsics_error_ignores_focal_length():
     )
 
 
-def test_clouds_are_registered_by_rays():
+def test_clouds_are_registered_by_rays(town):
     """Clouds in any frame are registered."""
-    town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
     surface = MeshIndex(town.mesh)
     cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)}
     points = surface_cloud(town.plan, surface, list(cameras.values()), 3000).points
@@ -249,6 +252,7 @@ def test_picture_is_drawn(study, tmp_path):
         assert np.asarray(image.convert("L")).std() > 10
 
 
+@pytest.mark.long
 def test_plot_draws_the_picture_again(study, run, tmp_path):
     import_or_skip("matplotlib")
     (tmp_path / "experiment.json").write_text(to_json(KIND.values(study)))
@@ -278,6 +282,7 @@ def test_solutions_without_deformation_stay_in_the_picture(study):
     assert heights[0] == min(heights)
 
 
+@pytest.mark.long
 def test_small_deformations_have_a_panel_only_if_its_scale_is_finer(study, tmp_path, monkeypatch):
     import_or_skip("matplotlib")
     from pcbench.studies.bend import figure

@@ -201,6 +201,7 @@ def test_study_round_trip(tmp_path):
         KIND.read(tmp_path / "a")
 
 
+@pytest.mark.long
 def test_figures_are_drawn(tmp_path, run):
     import_or_skip("matplotlib")
     image_of = import_or_skip("PIL.Image").open

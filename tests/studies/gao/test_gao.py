@@ -142,6 +142,7 @@ def test_deformation_by_solved_cameras():
     assert camera_errors(dict(list(wrong_cameras.items())[:2]), true_cameras, surface) is None
 
 
+@pytest.mark.long
 def test_clouds_are_evaluated_once(tmp_path):
     """The deformed cloud is detected, the tiny one fails, and nothing is evaluated twice."""
     rng = np.random.default_rng(0)

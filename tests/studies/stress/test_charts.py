@@ -57,6 +57,7 @@ def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_pat
         assert file.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_plot_draws_charts_again(run, tmp_path):
     few = study(metrics=(), verdicts=())
     (tmp_path / "stress.json").write_text(to_json(KIND.values(few)))

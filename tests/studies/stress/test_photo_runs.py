@@ -221,6 +221,7 @@ def test_without_an_unperturbed_score_no_cloud_is_right():
     assert [c.outcome for c in settle(cells)] == [REFUSED, REFUSED]
 
 
+@pytest.mark.long
 def test_methods_that_cannot_run_here_are_named(monkeypatch):
     known = studies.describe
 

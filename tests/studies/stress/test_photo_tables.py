@@ -60,6 +60,7 @@ def test_page_names_scene_threshold_and_figures():
     assert "Left out: splat (torch is not installed" in text
 
 
+@pytest.mark.long
 def test_charts(tmp_path):
     import_or_skip("matplotlib")
     study = photo_study()

@@ -114,6 +114,7 @@ def test_damaged_records_and_killed_runs_are_repeated(made, tmp_path):
         assert again.pose == results[plan].pose and again.cells[0].outcome == RIGHT
 
 
+@pytest.mark.long
 def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch):
     """Batches of 25 runs are on their way; the complete runs keep their records."""
     plans = [replace(PLANS[0], level=1 + 0.01 * number) for number in range(400)]

@@ -52,6 +52,7 @@ def outcome(folder):
     return run_stress(folder, SETTINGS, plan=small_plan(SETTINGS))
 
 
+@pytest.mark.long
 def test_quick_study_answers_each_subject(outcome):
     study = outcome.study
     assert {ladder.name for ladder in study.ladders} == {"start-rotation", "density", "raised-part", "degenerate"}
@@ -69,6 +70,7 @@ def test_quick_study_answers_each_subject(outcome):
     assert outcome.without_figures is None and outcome.without_page is None
 
 
+@pytest.mark.long
 def test_files_of_a_study(outcome, folder):
     assert KIND.read(folder) == replace(outcome.study, provenance=None)
     rows = list(csv.DictReader((folder / "stress.csv").read_text().splitlines()))
@@ -85,6 +87,7 @@ def test_files_of_a_study(outcome, folder):
     assert any((folder / "figures").glob("*.png"))
 
 
+@pytest.mark.long
 def test_worst_silent_failures_are_saved_with_their_clouds(outcome, folder):
     silent = [cell for cell in outcome.study.registrations if cell.outcome == SILENT]
     assert len(outcome.study.worst) == min(3, len(silent)) > 0
@@ -95,6 +98,7 @@ def test_worst_silent_failures_are_saved_with_their_clouds(outcome, folder):
             assert off == pytest.approx(failure.cell.error_rms, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_second_run_reuses_all_records_and_gives_the_same(outcome, folder, monkeypatch):
     def fail(*_, **__):
         raise AssertionError("a child was started although all runs have records")
@@ -110,6 +114,7 @@ def moved_pair(seed=0):
     return pair, GivenClouds(Cloud(pair.reference, unit="m"), Cloud(pair.candidate, unit="m"))
 
 
+@pytest.mark.long
 def test_a_given_pair_is_stressed_about_the_pose_that_was_found(tmp_path):
     pair, clouds = moved_pair()
     truth = given_pair(clouds.reference, clouds.candidate, "icp")
@@ -192,6 +197,7 @@ def test_warnings_of_the_reader_are_lines(run, tmp_path):
     assert is_one_line(said)
 
 
+@pytest.mark.long
 def test_a_folder_keeps_its_study(outcome, folder):
     """Results of other clouds would replace those of the study, so another folder is asked for."""
     before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
@@ -203,6 +209,7 @@ def test_a_folder_keeps_its_study(outcome, folder):
     assert {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()} == before
 
 
+@pytest.mark.long
 def test_clouds_in_the_output_folder_are_not_replaced(run, outcome, folder, tmp_path):
     cloud = folder / "worst_9.npz"
     write_cloud(tmp_path / "a.ply", Cloud(np.random.default_rng(0).normal(size=(100, 3))))

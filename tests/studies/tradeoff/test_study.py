@@ -42,6 +42,7 @@ def plane_study():
     return run_tradeoff(*plane_pair(), settings).study
 
 
+@pytest.mark.long
 def test_thinning_a_plane_doubles_the_distance_to_it(plane_study):
     """The mean distance to a Poisson process of density q on a plane is 1 / (2 sqrt(q)): at a quarter it doubles."""
     assert plane_study.exact.values["mean c→r"] == pytest.approx(0.5 / np.sqrt(8000 / 100), rel=0.05)
@@ -58,6 +59,7 @@ def test_thinning_a_plane_doubles_the_distance_to_it(plane_study):
     assert abs(both.corrected["Chamfer"].mean) < 0.2
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_seeds_are_reproducible():
     clouds = city_pair(200)
     settings = TradeoffSettings(levels=LEVELS, seeds=3, only=("random both",), register="none", seed=7)
@@ -124,6 +126,7 @@ def test_files_of_a_quick_study_and_resumed_runs(tmp_path, monkeypatch):
     assert replace(again.study, provenance=None) == replace(study, provenance=None)
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_damaged_records_are_repeated_and_another_pair_is_refused(tmp_path):
     damages = ({"old_field": 1}, {"points": None}, {"values": {}}, {"cpu_s": 0}, {"seed": 70}, {"message": "x"})
     settings = TradeoffSettings(levels=LEVELS, seeds=len(damages), only=("random both",), register="none")
@@ -140,6 +143,7 @@ def test_damaged_records_are_repeated_and_another_pair_is_refused(tmp_path):
         run_tradeoff(*reversed(city_pair(200)), settings, out=tmp_path / "out")
 
 
+@pytest.mark.usefixtures("without_deformation")
 def test_an_exact_value_of_zero_has_no_relative_error():
     reference = shapes.city(1500)[0]
     settings = TradeoffSettings(
@@ -170,6 +174,7 @@ def test_an_exact_comparison_that_fails_ends_the_study_at_once(monkeypatch):
     assert len(calls) == 1
 
 
+@pytest.mark.usefixtures("without_deformation", "few_samples")
 def test_samples_of_a_mesh_are_not_corrected_as_thinned_points():
     pair = make_pair(sphere_mesh(), shapes.fibonacci_sphere(500, 10.0)[0], TradeoffSettings(register="none"))
     (approximation, *_), _ = approximations.plan(pair, TradeoffSettings(only=("random candidate 50 %",)))
