@@ -24,6 +24,10 @@ CLASSES_HELP = "Use only these classes of LAS files, such as 2,6."
 RETURNS_HELP = "Use only these returns of LAS files: first, last or numbers such as 1,2."
 MIN_OPACITY_HELP = "Use only Gaussian splats with at least this opacity."
 MAX_AXIS_HELP = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."
+METRIC_HELP = (
+    "Also compute this user-defined metric: FILE.py:FUNCTION, MODULE:FUNCTION or the name of an installed one"
+    " (repeatable). Its code runs with your rights."
+)
 VERTICES_HELP = "Measure a candidate mesh at its vertices rather than at points sampled on its faces."
 
 _Number = TypeVar("_Number", int, float)

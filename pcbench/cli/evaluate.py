@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.conditions import fail_if_any, fail_if_option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option
 from pcbench.cli.workers import workers_options
-from pcbench.options import CROP_HELP, REGISTER_HELP, split_names
+from pcbench.options import CROP_HELP, METRIC_HELP, REGISTER_HELP, split_names
 
 if TYPE_CHECKING:
     from pcbench.report.article import TableCell
+    from pcbench.report.conditions import Condition
     from pcbench.studies.evaluate.results import MethodComparison
 
 INCOMPLETE = 4
@@ -51,6 +53,7 @@ INCOMPLETE = 4
     metavar="NAME,NAME,...",
     help="Scores in the tables and in the answer, in this order.  [default: all]",
 )
+@click.option("--metric", "metrics", multiple=True, metavar="WHICH", help=METRIC_HELP)
 @register_option("none", f"{REGISTER_HELP} {{scene}} and {{method}} are replaced.")
 @click.option(
     "--crop",
@@ -61,6 +64,7 @@ INCOMPLETE = 4
 )
 @workers_options("as many pairs as CPUs")
 @json_option("evaluate.json")
+@fail_if_option("a pair", "chamfer > 0.2")
 @no_figures_option("chart")
 @seed_option("Random seed of samples, orders and the bootstrap.")
 @quiet_option
@@ -72,11 +76,13 @@ def evaluate(
     protocol_data: Path | None,
     out: Path | None,
     columns: tuple[str, ...],
+    metrics: tuple[str, ...],
     register: str,
     crop: str,
     workers: int | None,
     cluster: str | None,
     json_file: str | None,
+    fail_if: tuple[Condition, ...],
     no_figures: bool,
     seed: int,
     quiet: bool,
@@ -92,12 +98,14 @@ def evaluate(
              pcbench evaluate 'gt/{scene}.ply' ours='a/{scene}.ply' theirs='b/{scene}.ply'
              pcbench evaluate --pairs pairs.csv --protocol pcbench:thresholds=0.01/0.02
     """
+    from pcbench.io.json_values import json_values
+    from pcbench.report.conditions import NamedValues
     from pcbench.studies.evaluate.results import KIND, EvaluateSettings
     from pcbench.studies.evaluate.study import CSV, LATEX, make_plan, run_evaluation
 
     plan = make_plan(reference, candidates, pairs, register=register, crop=crop)
     data = None if protocol_data is None else str(protocol_data)
-    settings = EvaluateSettings(protocol, data, split_names(columns), seed, workers, cluster)
+    settings = EvaluateSettings(protocol, data, split_names(columns), seed, workers, cluster, split_names(metrics))
     output = JsonOutput(json_file)
     output.check([Path(path) for pair in plan.pairs for path in (pair.reference, pair.candidate) if path], folder=out)
     with steps(quiet) as step:
@@ -111,6 +119,9 @@ def evaluate(
             click.echo()
             click.echo(name_files("report", out, KIND.markdown, LATEX, CSV, KIND.document))
     warn_of_missing(outcome)
+    with_scores = [pair for pair in study.pairs if pair.scores]
+    names = [f"{pair.scene}, {pair.method}" if len(study.pairs) > 1 else "" for pair in with_scores]
+    fail_if_any(fail_if, [*map(NamedValues, names, map(json_values, with_scores))], ("scores",))
     if not study.is_complete:
         if quiet or output.on_stdout:
             count = sum(not pair.scores for pair in study.pairs)

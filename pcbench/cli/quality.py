@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.conditions import fail_if_any, fail_if_option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, background_option, no_figures_option, quiet_option
 from pcbench.cli.settings_command import SettingsCommand
+
+if TYPE_CHECKING:
+    from pcbench.report.conditions import Condition
+
+_OMITTED_KEYS = ("numbers",)  # that names in conditions may omit
 
 
 @click.command(
@@ -30,6 +36,7 @@ from pcbench.cli.settings_command import SettingsCommand
     help="Memory that may be used, such as 4GiB or 500MB: larger clouds are refused.",
 )
 @json_option("quality.json")
+@fail_if_option("quality.json", "noise > 0.02")
 @no_figures_option()
 @background_option
 @quiet_option
@@ -39,6 +46,7 @@ def quality(
     out: Path | None,
     memory: str,
     json_file: str | None,
+    fail_if: tuple[Condition, ...],
     no_figures: bool,
     background: str | None,
     quiet: bool,
@@ -52,16 +60,20 @@ def quality(
     \b
     Example: pcbench quality map.laz --out quality/
     """
+    from pcbench.io.json_values import json_example
     from pcbench.io.source import Source
+    from pcbench.measure.quality.numbers import number_names
     from pcbench.measure.quality.settings import QualitySettings
     from pcbench.measure.tiled.settings import parse_bytes
     from pcbench.options import from_options
+    from pcbench.report.conditions import NamedValues, check_names
     from pcbench.report.figures import Figures
     from pcbench.report.terminal import print_columns
-    from pcbench.studies.quality.results import CSV, KIND
+    from pcbench.studies.quality.results import CSV, KIND, QualityStudy
     from pcbench.studies.quality.study import run_quality
     from pcbench.studies.quality.table import terminal_rows
 
+    check_names(fail_if, {**json_example(QualityStudy), "numbers": dict.fromkeys(number_names())}, _OMITTED_KEYS)
     paths = [cloud] if other is None else [cloud, other]
     settings = from_options(QualitySettings, given)
     look = None if no_figures else Figures().with_changes(background, None, None)
@@ -70,7 +82,8 @@ def quality(
     with steps(quiet) as step:
         outcome = run_quality(paths, settings, out, memory=parse_bytes(memory), figures=look, step=step)
     study = outcome.study
-    output.write(KIND.values(study))
+    values = KIND.values(study)
+    output.write(values)
     if not quiet:
         for warning in study.warnings:
             warn(warning)
@@ -89,3 +102,6 @@ def quality(
         else:
             click.echo(name_files("report", out, CSV, KIND.document, KIND.markdown, "maps/"))
     warn_of_missing(outcome)
+    documents = [values] if other is None else [values, values["other"]]
+    names = [""] if other is None else [measured.name for measured in study.clouds]
+    fail_if_any(fail_if, [*map(NamedValues, names, documents)], _OMITTED_KEYS)

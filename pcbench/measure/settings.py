@@ -26,6 +26,7 @@ from pcbench.options import (
     CLASSES_HELP,
     CROP_HELP,
     MAX_AXIS_HELP,
+    METRIC_HELP,
     MIN_OPACITY_HELP,
     REGISTER_HELP,
     RETURNS_HELP,
@@ -183,8 +184,7 @@ class Settings:
     metrics: tuple[str | MetricFunction | OwnMetric, ...] = setting(
         (),
         "--metric",
-        "Also compute this user-defined metric: FILE.py:FUNCTION, MODULE:FUNCTION or the name of an installed one"
-        " (repeatable). Its code runs with your rights.",
+        METRIC_HELP,
         metavar="WHICH",
         is_repeatable=True,
     )

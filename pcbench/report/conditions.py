@@ -174,7 +174,9 @@ def number_of(values: Mapping[str, Any], name: str, inner: Sequence[str] = ()) -
     Raises:
         InputError: there is no such name, or it has several values or a text.
     """
-    steps = re.findall(_STEP, name, re.ASCII)
+    holders = (values, *(values.get(key) for key in inner))
+    whole = next((holder for holder in holders if isinstance(holder, Mapping) and name in holder), None)
+    steps = [name] if whole is not None else re.findall(_STEP, name, re.ASCII)  # a key may have dots itself
     start = next((key for key in inner if not _has(values, steps[0]) and _has(values.get(key), steps[0])), None)
     node: Any = values if start is None else values[start]
     for step in steps:

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -28,6 +28,7 @@ from pcbench.io.contents import FileStatus, status_of
 from pcbench.io.source import Source
 from pcbench.measure import presets
 from pcbench.measure.metrics import FScore
+from pcbench.measure.own_metrics import MeasuredPair, OwnMetric, OwnResults, measure_own, own_scores
 from pcbench.measure.protocols.protocol import (
     Evaluation,
     EvaluationInputs,
@@ -80,7 +81,9 @@ class PcbenchProtocol:
             values |= plane_metrics(matched, reference.normals, rows, rows_back)
         else:
             notes.append("the reference has fewer than three points, so that there is no D2")
-        scores = tuple(_own_scores(values, pair.unit))
+        own = _measure_user_defined(inputs.metrics, pair, matched, rows, rows_back)
+        scores = (*_own_scores(values, pair.unit), *own_scores(own, pair.unit))
+        notes += map(str, own.warnings)
         return Evaluation(protocol_text(self), scores, pair.counts(len(rows), len(rows_back)), tuple(notes))
 
 
@@ -363,6 +366,28 @@ def _check_settings(name: str, thresholds: tuple[float, ...], samples: int) -> N
         raise InputError(f"{name}: expected different thresholds, got one of them twice")
     if samples < 0:
         raise InputError(f"{name}: expected samples as a number of points, or 0 for the default, got {samples}")
+
+
+def _measure_user_defined(
+    names: Sequence[str], pair: _Pair, matched: MatchedPair, rows: IntArray, rows_back: IntArray
+) -> OwnResults:
+    """Call user-defined metrics with the points at `rows` of the candidate and at `rows_back` of the reference."""
+    metrics = [OwnMetric.of(name) for name in names]
+    if not metrics:
+        return OwnResults({}, ())
+    reference, forth, back = pair.reference, matched.to_reference, matched.to_candidate
+    measured = MeasuredPair.of(
+        pair.moved,
+        reference.index.points,
+        Matches(forth.distances[rows], forth.indices[rows]),
+        Matches(back.distances[rows_back], back.indices[rows_back]),
+        normals=reference.normals if reference.has_normals else None,
+        origin=reference.origin,
+        unit=pair.unit or None,
+        candidate_rows=rows,
+        reference_rows=rows_back,
+    )
+    return measure_own(metrics, measured)
 
 
 def _own_scores(values: Mapping[str, Any], unit: str) -> Iterator[ProtocolScore]:

@@ -67,6 +67,7 @@ class EvaluationInputs:
         pose: pose candidate -> reference; None: the candidate is in the coordinates of the reference.
         crop: region to which the evaluation is limited, in the reference's coordinates, if the protocol supports one.
         seed: seed of random samples and orders.
+        metrics: user-defined metrics as on the command line, see `pcbench.measure.own_metrics`.
         on_step: called with a short text before each step that takes time.
     """
 
@@ -77,6 +78,7 @@ class EvaluationInputs:
     pose: Similarity | None = None
     crop: Region | None = None
     seed: int = 0
+    metrics: tuple[str, ...] = ()
     on_step: Callable[[str], None] = field(default=_ignore)
 
 

@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
+import numpy as np
+
 from pcbench.measure.quality.bootstrap import BlockEstimate
+from pcbench.measure.quality.coordinates import coordinate_faults
 from pcbench.measure.quality.density import NEIGHBORS as DENSITY_NEIGHBORS
 from pcbench.measure.quality.density import CloudDensity
 from pcbench.measure.quality.entropy import MapEntropy
@@ -78,6 +81,12 @@ def quality_numbers(quality: CloudQuality, unit: str | None) -> dict[str, Qualit
         *_fault_numbers(quality, length),
     ]
     return dict(parts)
+
+
+def number_names() -> tuple[str, ...]:
+    """Return the names of all numbers, which every cloud has."""
+    faults, _ = coordinate_faults(np.zeros((1, 3)))
+    return tuple(quality_numbers(CloudQuality(faults), None))
 
 
 def better_cloud(name: str, first: dict[str, QualityNumber], second: dict[str, QualityNumber]) -> int | None:

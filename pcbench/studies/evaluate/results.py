@@ -27,6 +27,7 @@ class EvaluateSettings:
         seed: seed of random samples and orders, and of the bootstrap.
         workers: number of pairs at the same time; None: as many as CPUs.
         cluster: address of a Dask scheduler, or its scheduler file; None: processes on this machine.
+        metrics: user-defined metrics, as for `pcbench compare --metric`, which only the protocol `pcbench` computes.
     """
 
     protocol: str = "pcbench"
@@ -35,6 +36,7 @@ class EvaluateSettings:
     seed: int = 0
     workers: int | None = None
     cluster: str | None = None
+    metrics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.region_text import parse_region, region_file
 from pcbench.geometry.regions import Region
 from pcbench.io.contents import digest
+from pcbench.io.named_code import code_file
 from pcbench.io.source import Source
 from pcbench.measure.protocols.protocol import EvaluationInputs, ProtocolScore
 from pcbench.measure.protocols.registry import parse_protocol
@@ -54,6 +55,7 @@ class SharedSettings:
         data_state: digest of the names, sizes and times of these files.
         seed: seed of random samples and orders.
         code: digest of the code that the results depend on.
+        metrics: user-defined metrics, with absolute paths.
     """
 
     out: Path | None
@@ -62,6 +64,7 @@ class SharedSettings:
     data_state: str
     seed: int
     code: str
+    metrics: tuple[str, ...] = ()
 
 
 def evaluate_pairs(
@@ -171,6 +174,7 @@ def _evaluate(shared: SharedSettings, task: PairTask, step: Callable[[str], None
         pose=pose,
         crop=_region(pair),
         seed=shared.seed,
+        metrics=shared.metrics,
         on_step=step,
     )
     evaluation = protocol.evaluate(inputs)
@@ -248,6 +252,7 @@ def _write(file: Path | None, key: Mapping[str, Any] | None, record: PairRecord)
 def _key(shared: SharedSettings, pair: PlannedPair) -> dict[str, Any]:
     """Return all that the scores of a pair depend on; the contents of its files are read."""
     files = [Path(pair.reference), Path(pair.candidate), *method_files(pair.register), region_file(pair.crop)]
+    files += map(code_file, shared.metrics)
     if Path(pair.reference).suffix.lower() == ".mlp":  # a project of scans in other files
         files += sorted(file for file in Path(pair.reference).parent.iterdir() if file.is_file())
     return {
@@ -255,6 +260,7 @@ def _key(shared: SharedSettings, pair: PlannedPair) -> dict[str, Any]:
         "protocol": shared.protocol,
         "data": shared.data_state,
         "seed": shared.seed,
+        "metrics": list(shared.metrics),
         "code": shared.code,
         "sha256": {str(file): digest(file) for file in files if file is not None},
     }

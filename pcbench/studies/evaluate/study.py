@@ -16,6 +16,8 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.io.contents import status_of
+from pcbench.measure.own_metrics import OwnMetric, check_metrics
+from pcbench.measure.protocols.preset import PcbenchProtocol
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, protocol_text
 from pcbench.measure.protocols.registry import parse_protocol
 from pcbench.registration import METHODS, parse_method
@@ -57,6 +59,7 @@ def evaluate(
     protocol: str | BenchmarkProtocol = "pcbench",
     protocol_data: str | os.PathLike[str] | None = None,
     columns: Sequence[str] = (),
+    metrics: Sequence[str] = (),
     register: str = "none",
     crop: str = "none",
     seed: int = 0,
@@ -75,6 +78,8 @@ def evaluate(
         protocol: a protocol, or its text such as `dtu` or `pcbench:thresholds=0.01/0.02`.
         protocol_data: folder with files of the benchmark.
         columns: names of the scores in tables and in the answer; none: all.
+        metrics: user-defined metrics, as `FILE.py:function`, `module:function` or the name of an installed one, which
+            only the protocol `pcbench` computes.
         register: how poses are determined, as for `pcbench.register`; {scene} and {method} are replaced.
         crop: region, as for `pcbench.parse_region`; {scene} and {method} are replaced.
         seed: seed of random samples and orders, and of the bootstrap.
@@ -90,7 +95,7 @@ def evaluate(
     """
     text = protocol if isinstance(protocol, str) else protocol_text(protocol)
     data = None if protocol_data is None else os.fspath(protocol_data)
-    settings = EvaluateSettings(text, data, tuple(columns), seed, workers, cluster)
+    settings = EvaluateSettings(text, data, tuple(columns), seed, workers, cluster, tuple(metrics))
     plan = make_plan(reference, candidates, pairs, register=register, crop=crop)
     folder = None if out is None else Path(out)
     return run_evaluation(plan, settings, out=folder, figures=folder is not None, step=step).study
@@ -137,6 +142,10 @@ def run_evaluation(
         OSError: a file cannot be written.
     """
     protocol = parse_protocol(settings.protocol)
+    if settings.metrics and protocol.name != PcbenchProtocol.name:
+        raise InputError(
+            f"expected the protocol pcbench with user-defined metrics, got {protocol.name}: evaluate once for each"
+        )
     check_inputs(plan.pairs, out)
     for pair in {(pair.register, pair.crop): pair for pair in plan.pairs if not pair.missing}.values():
         _check_method(pair.register)
@@ -174,7 +183,8 @@ def _evaluate_all(
 ) -> list[PairRecord]:
     data = None if settings.protocol_data is None else Path(settings.protocol_data).absolute()
     stored = None if out is None else out.absolute()  # workers of a cluster have other folders
-    shared = shared_settings(stored, settings.protocol, data, settings.seed)
+    metrics = tuple(OwnMetric.of(metric).text for metric in check_metrics(settings.metrics))
+    shared = shared_settings(stored, settings.protocol, data, settings.seed, metrics)
     if len(pairs) == 1 and settings.cluster is None:
         return [evaluate_alone(shared, pairs[0], step)]
     count = settings.workers
@@ -183,7 +193,9 @@ def _evaluate_all(
     return evaluate_pairs(pairs, shared, scratch, Workers(count, settings.cluster), step)
 
 
-def shared_settings(out: Path | None, protocol: str, data: Path | None, seed: int) -> SharedSettings:
+def shared_settings(
+    out: Path | None, protocol: str, data: Path | None, seed: int, metrics: tuple[str, ...] = ()
+) -> SharedSettings:
     """Return what all pairs share, with digests of code and of the benchmark's files."""
     if data is not None and not data.is_dir():
         raise InputError(f"{data}: expected the folder with the files of the benchmark")
@@ -192,7 +204,7 @@ def shared_settings(out: Path | None, protocol: str, data: Path | None, seed: in
         files = sorted(file for file in data.rglob("*") if file.is_file())
         state = ";".join(f"{file.relative_to(data)} {status_of(file)[:2]}" for file in files)
     code = measuring_code_digest("evaluate", _OWN_MODULES)
-    return SharedSettings(out, protocol, data, fingerprint(state), seed, code)
+    return SharedSettings(out, protocol, data, fingerprint(state), seed, code, metrics)
 
 
 def check_inputs(pairs: Iterable[PlannedPair], out: Path | None) -> None:
