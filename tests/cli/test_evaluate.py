@@ -67,10 +67,21 @@ def test_errors_are_one_line(files, run):
         ("--pairs", "none.csv"),
         ("--pairs", "pairs.csv"),
         ("--pairs", "pairs.csv", "ref.ply"),
+        ("ref.ply", "a.ply", "--metric", "far.py:far", "--protocol", "open3d"),
     ):
         code, out, err = run("evaluate", *arguments)
         assert code == 2 and out == "" and is_one_line(err), (arguments, err)
         check_text(err)
+
+
+def test_conditions_and_user_defined_metrics(files, run):
+    (files / "far.py").write_text("def far(pair):\n    return float(pair.accuracy.distances.max())\n")
+    conditions = ("--fail-if", "own.far > 0", "--fail-if", "chamfer > 1e9", "--fail-if", "d1_rms.c2r > 0")
+    code, out, err = run("evaluate", "ref.ply", "a.ply", "--metric", "far.py:far", *conditions)
+    assert code == 3
+    far, largest = (float(re.search(rf"{name} +(\S+)", out)[1]) for name in (r"own\.far", "hausdorff"))
+    assert 0 < far <= largest
+    assert [line.split("'")[1] for line in without_progress(err).splitlines()] == ["own.far > 0", "d1_rms.c2r > 0"]
 
 
 def test_the_help_names_all_protocols():

@@ -121,3 +121,10 @@ def test_small_clouds_have_an_answer(points, tmp_path, monkeypatch, run):
     code, out, err = run("quality", "small.ply", "--out", "out", "--no-figures")
     assert code == 0 and not err
     assert out.startswith("The noise of small is unknown")
+
+
+def test_conditions_of_two_clouds(room, run):
+    code, _, err = run("quality", "room.ply", "noisy.ply", "-q", "--fail-if", "noise.value > 0.015 or points < 0")
+    assert code == 3 and err.count("noisy: noise.value = ") == 1 and "room: " not in err
+    code, out, err = run("quality", "room.ply", "--fail-if", "nois > 1")
+    assert (code, out, is_one_line(err)) == (2, "", True)
