@@ -51,6 +51,16 @@ COMMANDS = {
     "a buffer of glTF": "info mesh.gltf",
     "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
 }
+_TRIANGLE = {
+    "asset": {"version": "2.0"},
+    "buffers": [{"uri": "FILE", "byteLength": 36}],
+    "bufferViews": [{"buffer": 0, "byteLength": 36}],
+    "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    "nodes": [{"mesh": 0}],
+    "scenes": [{"nodes": [0]}],
+    "scene": 0,
+}
 # Entries of a scene's folder that may be special files, and the file that each replaces.
 SCENE_FILES = {
     "COLMAP's cameras": "sparse/0/cameras.txt",
@@ -79,7 +89,7 @@ def outcomes(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param.__name__)
     for name in ("FILE", "FILE.ply", "FILE.py"):
         request.param(folder / name)
-    (folder / "mesh.gltf").write_text('{"asset": {"version": "2.0"}, "buffers": [{"uri": "FILE", "byteLength": 36}]}')
+    (folder / "mesh.gltf").write_text(json.dumps(_TRIANGLE))
     write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
     scene_folders.ten_images_folder(folder / "photos")
     commands = dict(COMMANDS)

@@ -58,6 +58,7 @@ def test_a_root_has_the_floor_and_the_interval_of_its_mean_square(clouds):
         assert typed.accuracy.area_weighted == np.sqrt(squares["area_weighted"]["candidate_to_reference"])
 
 
+@pytest.mark.with_deformation
 def test_each_printed_value_with_its_interval_is_in_the_document(clouds):
     comparison = compare(*clouds, register="none", maps=("m3c2",), presets=("tnt",))
     (values,) = document(comparison)["candidates"]

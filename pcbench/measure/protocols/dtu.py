@@ -106,7 +106,7 @@ class Dtu:
             runs.append(self._measure(thinned, scan))
         return self._evaluation(runs, candidate, points, inputs.seed)
 
-    def _measure(self, thinned: FloatArray, scan: _Scan) -> _Run:
+    def _measure(self, thinned: FloatArray, scan: _ScanData) -> _Run:
         """Measure the distances between the thinned candidate and the reference's points above the plane."""
         above = scan.reference.points[_above(scan.plane, scan.reference.points)]
         targets = thinned
@@ -195,7 +195,7 @@ class Dtu:
         return notes
 
 
-class _Scan(NamedTuple):
+class _ScanData(NamedTuple):
     """Contents of the data set for one scan."""
 
     mask: ObservationMask
@@ -222,7 +222,7 @@ class _Run(NamedTuple):
         return (self.accuracy + self.completeness) / 2
 
 
-def _read_scan(inputs: EvaluationInputs) -> _Scan:
+def _read_scan(inputs: EvaluationInputs) -> _ScanData:
     reference, candidate = inputs.reference, inputs.candidate
     names = [inputs.scene, *(path.stem for path in (reference, candidate) if isinstance(path, Path))]
     scan, folders = scan_number(*names), [] if inputs.data is None else [inputs.data]
@@ -231,7 +231,7 @@ def _read_scan(inputs: EvaluationInputs) -> _Scan:
         if reference.is_dir():
             reference = reference_file(folders, scan)
     cloud = vertex_cloud(to_shape(reference))
-    return _Scan(read_mask(folders, scan), read_plane(folders, scan), Index(cloud.points))
+    return _ScanData(read_mask(folders, scan), read_plane(folders, scan), Index(cloud.points))
 
 
 def _above(plane: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
