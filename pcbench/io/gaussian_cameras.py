@@ -44,7 +44,8 @@ def read_gaussian_cameras(path: Path) -> tuple[Camera, ...]:
     for number, values in enumerate(document):
         with errors_named(f"{path}: camera {number}"):
             if not _has_keys(values):
-                raise InputError(f"expected {', '.join(_KEYS)}, got {str(values)[:60]!r}: use the file of the model")
+                got = ", ".join(map(str, values))[:80] if isinstance(values, dict) else type(values).__name__
+                raise InputError(f"expected {', '.join(_KEYS)}, got {got or 'nothing'}: use the file of the model")
             try:
                 cameras.append(_camera(values))
             except InputError:  # also a ValueError, but its message is complete
