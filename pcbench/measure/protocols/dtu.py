@@ -27,13 +27,15 @@ from pcbench.geometry.thinning import thin_by_disks
 from pcbench.io.meshes import to_shape
 from pcbench.measure.protocols.dtu_data import (
     ObservationMask,
+    mask_file,
+    plane_file,
     read_mask,
     read_plane,
     reference_file,
     scan_number,
 )
 from pcbench.measure.protocols.mesh_grid import grid_points
-from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
+from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, Shape, protocol_text
 
 _UNIT = "mm"
 _VARIANTS = ("python", "matlab")
@@ -105,6 +107,12 @@ class Dtu:
             inputs.on_step("measuring distances")
             runs.append(self._measure(thinned, scan))
         return self._evaluation(runs, candidate, points, inputs.seed)
+
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the mask, the plane, and the reference if it is named by the folder of the data set."""
+        files = _scan_files(inputs)
+        reference = (files.reference,) if isinstance(files.reference, Path) else ()
+        return (files.mask, files.plane, *reference)
 
     def _measure(self, thinned: FloatArray, scan: _Scan) -> _Run:
         """Measure the distances between the thinned candidate and the reference's points above the plane."""
@@ -195,6 +203,14 @@ class Dtu:
         return notes
 
 
+class _ScanFiles(NamedTuple):
+    """Files of one scan; the reference may be a shape in memory."""
+
+    reference: Shape
+    mask: Path
+    plane: Path
+
+
 class _Scan(NamedTuple):
     """Contents of the data set for one scan."""
 
@@ -223,6 +239,12 @@ class _Run(NamedTuple):
 
 
 def _read_scan(inputs: EvaluationInputs) -> _Scan:
+    files = _scan_files(inputs)
+    cloud = vertex_cloud(to_shape(files.reference))
+    return _Scan(read_mask(files.mask), read_plane(files.plane), Index(cloud.points))
+
+
+def _scan_files(inputs: EvaluationInputs) -> _ScanFiles:
     reference, candidate = inputs.reference, inputs.candidate
     names = [inputs.scene, *(path.stem for path in (reference, candidate) if isinstance(path, Path))]
     scan, folders = scan_number(*names), [] if inputs.data is None else [inputs.data]
@@ -230,8 +252,7 @@ def _read_scan(inputs: EvaluationInputs) -> _Scan:
         folders += [reference] if reference.is_dir() else [reference.parent, *reference.parent.parents[:2]]
         if reference.is_dir():
             reference = reference_file(folders, scan)
-    cloud = vertex_cloud(to_shape(reference))
-    return _Scan(read_mask(folders, scan), read_plane(folders, scan), Index(cloud.points))
+    return _ScanFiles(reference, mask_file(folders, scan), plane_file(folders, scan))
 
 
 def _above(plane: FloatArray, points: FloatArray) -> NDArray[np.bool_]:

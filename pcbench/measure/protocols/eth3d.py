@@ -135,6 +135,11 @@ class Eth3d:
             tuple(notes),
         )
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the project and its scans."""
+        project = _project_file(inputs)
+        return (project, *(mesh.file for mesh in read_meshlab_project(project)))
+
     def _completeness(self, scans: list[_Scan], points: Floats, crop: Region | None) -> tuple[list[float], int]:
         """Return the completeness at each tolerance, and the number of scan points that count."""
         merged = np.concatenate([scan.in_project for scan in scans])

@@ -24,7 +24,7 @@ from pcbench.geometry.units import metres
 from pcbench.geometry.voxels import cell_means
 from pcbench.io.meshes import to_shape
 from pcbench.measure.metrics import harmonic_mean
-from pcbench.measure.protocols.culling import cull, read_cameras
+from pcbench.measure.protocols.culling import camera_file, cull, read_cameras
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
 
 _UNIT = "cm"
@@ -110,6 +110,13 @@ class IndoorMeshes:
         counts = [ProtocolScore(f"{name}_points", len(cloud), better=None) for name, cloud in pair._asdict().items()]
         return Evaluation(protocol_text(self), self._scores(values), tuple(counts), tuple(notes))
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the cameras to which meshes are culled."""
+        return (camera_file(self._camera_path(inputs)),) if self.cameras else ()
+
+    def _camera_path(self, inputs: EvaluationInputs) -> Path:
+        return (inputs.data or Path()) / self.cameras.replace("{scene}", inputs.scene)
+
     def _in_unit(self, centimetres: float) -> float:
         """Return a length in the unit of the coordinates."""
         return centimetres * (metres("cm") or 0) / (metres(self.unit) or 1)
@@ -125,7 +132,7 @@ class IndoorMeshes:
     ) -> tuple[Mesh, Mesh, str]:
         if not (isinstance(reference, Mesh) and isinstance(candidate, Mesh)):
             raise InputError("mesh: expected two meshes to cull, got a cloud: leave out cameras")
-        path = (inputs.data or Path()) / self.cameras.replace("{scene}", inputs.scene)
+        path = self._camera_path(inputs)
         cameras = read_cameras(path)
         tolerance = self._in_unit(self.tolerance_cm) if self.occlusion else None
         ours, theirs = cull(reference, cameras, tolerance), cull(candidate, cameras, tolerance)

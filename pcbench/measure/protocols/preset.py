@@ -62,6 +62,10 @@ class PcbenchProtocol:
     def __post_init__(self) -> None:
         _check_settings(self.name, self.thresholds, self.samples)
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return no files."""
+        return ()
+
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Measure mean distances, D1, D2, Chamfer, Hausdorff and F-scores in the given pose.
 
@@ -112,6 +116,10 @@ class PresetProtocol:
 
     def _mpeg_peak(self) -> float | None:
         return None
+
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return no files."""
+        return ()
 
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Compute the preset in the given pose.
