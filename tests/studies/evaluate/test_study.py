@@ -193,6 +193,10 @@ def test_inputs_are_never_in_the_output_folder(tmp_path):
     (tmp_path / "notes" / "text.txt").touch()
     with check_error():
         pcbench.evaluate(reference, candidates, out=tmp_path / "notes")
+    with check_error():
+        pcbench.evaluate(reference, candidates, protocol_data=tmp_path, out=tmp_path / "out")
+    with check_error():
+        pcbench.evaluate(reference, candidates, crop=f"polygon:{tmp_path / 'out' / 'a.json'}", out=tmp_path / "out")
 
 
 def test_wrong_arguments_are_refused_before_any_work(tmp_path):
