@@ -224,12 +224,19 @@ def check_inputs(pairs: Iterable[PlannedPair], settings: EvaluateSettings, out: 
     data = [] if settings.protocol_data is None else [Path(settings.protocol_data)]
     if any(folder.is_relative_to(path.resolve()) for path in data):
         raise InputError(f"{out}: expected --out outside the folder {data[0]} of the benchmark's data")
-    shared = [*data, *(file for file in map(code_file, settings.metrics) if file is not None)]
+    for path in input_files(pairs, settings):
+        if path.resolve().is_relative_to(folder):
+            raise InputError(f"{path}: the evaluation replaces files in {out}: choose another --out")
+
+
+def input_files(pairs: Iterable[PlannedPair], settings: EvaluateSettings) -> list[Path]:
+    """Return the files and folders that are named for an evaluation, each once; they need not exist."""
+    paths = [] if settings.protocol_data is None else [Path(settings.protocol_data)]
+    paths += [file for file in map(code_file, settings.metrics) if file is not None]
     for pair in pairs:
-        paths = (Path(pair.reference), Path(pair.candidate), *method_files(pair.register), region_file(pair.crop))
-        for path in (path for path in (*shared, *paths) if path is not None and path != Path()):
-            if path.resolve().is_relative_to(folder):
-                raise InputError(f"{path}: the evaluation replaces files in {out}: choose another --out")
+        paths += [Path(file) for file in (pair.reference, pair.candidate) if file]
+        paths += [*method_files(pair.register), *filter(None, [region_file(pair.crop)])]
+    return list(dict.fromkeys(paths))
 
 
 def _check_method(text: str) -> None:
