@@ -24,6 +24,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import vertex_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.thinning import thin_by_disks
+from pcbench.geometry.units import check_same_unit
 from pcbench.io.meshes import to_shape
 from pcbench.measure.protocols.dtu_data import (
     ObservationMask,
@@ -97,7 +98,9 @@ class Dtu:
         scan = _read_scan(inputs)
         inputs.on_step("reading the candidate")
         candidate = to_shape(inputs.candidate)
-        if inputs.pose is not None:
+        if inputs.pose is None:
+            check_same_unit("mm", candidate.unit)
+        else:
             candidate = candidate.transformed(inputs.pose)
         points = grid_points(candidate, self.thinning) if isinstance(candidate, Mesh) else candidate.points
         runs = []

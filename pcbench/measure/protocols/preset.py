@@ -24,6 +24,7 @@ from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, sample_candidate, s
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
+from pcbench.geometry.units import check_same_unit
 from pcbench.io.contents import FileStatus, status_of
 from pcbench.io.source import Source
 from pcbench.measure import presets
@@ -301,7 +302,7 @@ class _Pair(NamedTuple):
         """Read both shapes, sample meshes, and apply the pose.
 
         Raises:
-            InputError: a file cannot be read, or its coordinates are degrees.
+            InputError: a file cannot be read, its coordinates are degrees, or the files have different units.
         """
         notes: list[str] = []
         inputs.on_step("reading the clouds")
@@ -311,6 +312,8 @@ class _Pair(NamedTuple):
             cloud = shape.sample(samples or REFERENCE_SAMPLES, inputs.seed)
         else:
             cloud = sample_candidate(shape, reference.cloud, inputs.seed)
+        if inputs.pose is None:  # a pose may have the scale between two units
+            check_same_unit(reference.cloud.unit, cloud.unit)
         pose = Similarity.identity() if inputs.pose is None else inputs.pose
         if isinstance(shape, Mesh):
             notes.append(str(sampling_notice(shape, len(cloud), inputs.seed, scale=pose.scale)))
