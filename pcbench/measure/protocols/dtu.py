@@ -117,7 +117,7 @@ class Dtu:
         reference = (files.reference,) if isinstance(files.reference, Path) else ()
         return (files.mask, files.plane, *reference)
 
-    def _measure(self, thinned: FloatArray, scan: _Scan) -> _Run:
+    def _measure(self, thinned: FloatArray, scan: _ObservedScan) -> _Run:
         """Measure the distances between the thinned candidate and the reference's points above the plane."""
         above = scan.reference.points[_above(scan.plane, scan.reference.points)]
         targets = thinned
@@ -214,7 +214,7 @@ class _ScanFiles(NamedTuple):
     plane: Path
 
 
-class _Scan(NamedTuple):
+class _ObservedScan(NamedTuple):
     """Contents of the data set for one scan."""
 
     mask: ObservationMask
@@ -241,10 +241,10 @@ class _Run(NamedTuple):
         return (self.accuracy + self.completeness) / 2
 
 
-def _read_scan(inputs: EvaluationInputs) -> _Scan:
+def _read_scan(inputs: EvaluationInputs) -> _ObservedScan:
     files = _scan_files(inputs)
     cloud = vertex_cloud(to_shape(files.reference))
-    return _Scan(read_mask(files.mask), read_plane(files.plane), Index(cloud.points))
+    return _ObservedScan(read_mask(files.mask), read_plane(files.plane), Index(cloud.points))
 
 
 def _scan_files(inputs: EvaluationInputs) -> _ScanFiles:

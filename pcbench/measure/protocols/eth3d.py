@@ -143,7 +143,7 @@ class Eth3d:
         project = _project_file(inputs)
         return (project, *(mesh.file for mesh in read_meshlab_project(project)))
 
-    def _completeness(self, scans: list[_Scan], points: Floats, crop: Region | None) -> tuple[list[float], int]:
+    def _completeness(self, scans: list[_LaserScan], points: Floats, crop: Region | None) -> tuple[list[float], int]:
         """Return the completeness at each tolerance, and the number of scan points that count."""
         merged = np.concatenate([scan.in_project for scan in scans])
         differences = merged - points[Index(points).query(merged).indices]
@@ -153,7 +153,7 @@ class Eth3d:
         shares = [grids.mean_share(_within(squared, tolerance), counted) for tolerance in self.tolerances]
         return shares, int(counted.sum())
 
-    def _observe(self, scans: list[_Scan], points: Floats) -> BeamObservation:
+    def _observe(self, scans: list[_LaserScan], points: Floats) -> BeamObservation:
         """Merge the evidence of all scans. Points that are accurate at each tolerance need no further scan.
 
         Returns:
@@ -180,7 +180,7 @@ class Eth3d:
         return shares
 
 
-class _Scan(NamedTuple):
+class _LaserScan(NamedTuple):
     """A scan in the coordinates of its scanner, its rigid pose (4, 4), and the name of its file.
 
     Points and pose have the precision of the evaluation.
@@ -209,11 +209,11 @@ class _Scan(NamedTuple):
         return np.stack(columns, axis=1)
 
 
-def _read_scan(mesh: ProjectMesh, kind: type[np.floating[Any]]) -> _Scan:
+def _read_scan(mesh: ProjectMesh, kind: type[np.floating[Any]]) -> _LaserScan:
     points = vertex_cloud(to_shape(mesh.file)).points
     with errors_named(mesh.file.name):
         _check_rigid(mesh.matrix)
-        return _Scan(_rounded(points, kind), mesh.matrix.astype(kind), mesh.file.name)
+        return _LaserScan(_rounded(points, kind), mesh.matrix.astype(kind), mesh.file.name)
 
 
 def _check_rigid(matrix: FloatArray) -> None:

@@ -97,13 +97,13 @@ class IndoorMeshes:
             notes.append(note)
         inputs.on_step("sampling the meshes")
         # Two seeds: the samples of equal meshes must not coincide.
-        pair = _Pair(self._points(candidate, inputs.seed), self._points(reference, inputs.seed + 1))
+        pair = _SampledPair(self._points(candidate, inputs.seed), self._points(reference, inputs.seed + 1))
         notes += [
             self._sampling_note("candidate", candidate, pair.candidate, inputs.seed),
             self._sampling_note("reference", reference, pair.reference, inputs.seed + 1),
         ]
         if inputs.crop is not None:
-            pair = _Pair(*(_crop(cloud, inputs.crop, f"the {name}'s") for name, cloud in pair._asdict().items()))
+            pair = _SampledPair(*(_crop(cloud, inputs.crop, f"the {name}'s") for name, cloud in pair._asdict().items()))
             notes.append(f"both are cropped to {inputs.crop.describe()}")
         inputs.on_step("measuring distances")
         values = _measure(pair, self._in_unit(self.threshold_cm))
@@ -178,7 +178,7 @@ class IndoorMeshes:
         return tuple(scores)
 
 
-class _Pair(NamedTuple):
+class _SampledPair(NamedTuple):
     """The points that are compared."""
 
     candidate: Cloud
@@ -207,7 +207,7 @@ class _Measurement(NamedTuple):
     signed_cosines: _Cosines
 
 
-def _measure(pair: _Pair, threshold: float) -> _Measurement:
+def _measure(pair: _SampledPair, threshold: float) -> _Measurement:
     candidate, reference = pair
     forth, back = match_both_directions(Index(reference.points), Index(candidate.points))
     cosines = signed_cosines = _Cosines()

@@ -73,7 +73,7 @@ class PcbenchProtocol:
         Raises:
             InputError: a file cannot be read, or a region contains no point.
         """
-        pair = _Pair.read(inputs, self.samples)
+        pair = _PosedPair.read(inputs, self.samples)
         reference, moved = pair.reference, pair.moved
         inputs.on_step("matching points")
         matched = MatchedPair.of(reference.index, Index(moved))
@@ -128,7 +128,7 @@ class PresetProtocol:
         Raises:
             InputError: a file cannot be read, or a region contains no point.
         """
-        pair = _Pair.read(inputs, self.samples)
+        pair = _PosedPair.read(inputs, self.samples)
         reference, moved = pair.reference, pair.moved
         rows, rows_back = pair.rows_inside()
         inputs.on_step("matching points")
@@ -288,7 +288,7 @@ class _PreparedReference:
         return self.index.nearest_other() if len(self.index) > 1 else None
 
 
-class _Pair(NamedTuple):
+class _PosedPair(NamedTuple):
     """The reference, the candidate's points near the reference's origin, and what a reader has to know."""
 
     reference: _PreparedReference
@@ -298,7 +298,7 @@ class _Pair(NamedTuple):
     notes: tuple[str, ...]
 
     @classmethod
-    def read(cls, inputs: EvaluationInputs, samples: int) -> _Pair:
+    def read(cls, inputs: EvaluationInputs, samples: int) -> _PosedPair:
         """Read both shapes, sample meshes, and apply the pose.
 
         Raises:
@@ -380,7 +380,7 @@ def _check_settings(name: str, thresholds: tuple[float, ...], samples: int) -> N
 
 
 def _measure_user_defined(
-    names: Sequence[str], pair: _Pair, matched: MatchedPair, rows: IntArray, rows_back: IntArray
+    names: Sequence[str], pair: _PosedPair, matched: MatchedPair, rows: IntArray, rows_back: IntArray
 ) -> OwnResults:
     """Call user-defined metrics with the points at `rows` of the candidate and at `rows_back` of the reference."""
     metrics = [OwnMetric.of(name) for name in names]
