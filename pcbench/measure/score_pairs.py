@@ -255,6 +255,8 @@ def _points_of(given: Points) -> FloatArray:
     if hasattr(given, "detach"):  # a tensor, perhaps with gradients, on a GPU, or of a type that numpy lacks
         tensor: Any = given.detach().cpu()
         given = tensor.float() if str(tensor.dtype) == "torch.bfloat16" else tensor
+    if np.ma.is_masked(given):
+        raise InputError("expected points without a mask, got masked coordinates: remove such points first")
     array: Any = np.asarray(given)
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
         raise InputError(f"expected points as real numbers of shape (N, 3), got {array.dtype} {array.shape}")

@@ -137,7 +137,14 @@ def test_errors_name_the_argument_and_the_pair():
     for metrics, thresholds in (("chamfers", ()), (("fscore",), ()), (None, (0.0,))):
         with check_error():
             pcbench.score(reference, candidate, metrics, thresholds)
-    for wrong in (candidate[:, :2], np.full((3, 3), np.nan), np.empty((0, 3)), ["a"], candidate > 0.5):
+    for wrong in (
+        candidate[:, :2],
+        np.full((3, 3), np.nan),
+        np.empty((0, 3)),
+        ["a"],
+        candidate > 0.5,
+        np.ma.masked_less(candidate, 0.5),
+    ):
         with check_error():
             pcbench.score(reference, wrong)
     with check_error():
