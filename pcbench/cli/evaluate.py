@@ -101,13 +101,13 @@ def evaluate(
     from pcbench.io.json_values import json_values
     from pcbench.report.conditions import NamedValues
     from pcbench.studies.evaluate.results import KIND, EvaluateSettings
-    from pcbench.studies.evaluate.study import CSV, LATEX, make_plan, run_evaluation
+    from pcbench.studies.evaluate.study import CSV, LATEX, input_files, make_plan, run_evaluation
 
     plan = make_plan(reference, candidates, pairs, register=register, crop=crop)
     data = None if protocol_data is None else str(protocol_data)
     settings = EvaluateSettings(protocol, data, split_names(columns), seed, workers, cluster, split_names(metrics))
     output = JsonOutput(json_file)
-    output.check([Path(path) for pair in plan.pairs for path in (pair.reference, pair.candidate) if path], folder=out)
+    output.check([*input_files(plan.pairs, settings), *([] if pairs is None else [Path(pairs)])], folder=out)
     with steps(quiet) as step:
         outcome = run_evaluation(plan, settings, out=out, figures=not no_figures, step=step)
     study = outcome.study

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pcbench.errors import InputError
+
 _METRES_PER_UNIT = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
     **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 1e-3),
@@ -28,3 +30,17 @@ def unit_of_length(length: float) -> str | None:
 def is_degree(unit: str | None) -> bool:
     """Return whether a unit is the degree."""
     return (unit or "").strip().lower() in _DEGREE_UNITS
+
+
+def check_same_unit(reference: str | None, candidate: str | None) -> None:
+    """Check that two clouds that are measured in the given coordinates do not state different units.
+
+    Raises:
+        InputError: both state a unit of length, and these differ.
+    """
+    lengths = metres(reference), metres(candidate)
+    if None not in lengths and lengths[0] != lengths[1]:
+        raise InputError(
+            f"expected the candidate in {reference} as the reference, got {candidate}: convert it with pcbench convert"
+            f" FILE OUT --to-unit {reference}"
+        )

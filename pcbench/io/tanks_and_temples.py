@@ -26,6 +26,8 @@ from pcbench.io.files import Warn, errors_named
 from pcbench.io.trajectory import Trajectory, read_trajectory
 from pcbench.regular_files import read_text
 
+_ENDINGS = (".ply", ".json", "_trans.txt", "_COLMAP_SfM.log", "_mapping_reference.txt")
+
 SCENE_THRESHOLDS = {
     "Barn": 0.01,
     "Caterpillar": 0.005,
@@ -89,6 +91,10 @@ class TntScene:
     def path(self, ending: str) -> Path:
         """Return the path of the file with an ending such as `.json`."""
         return self.folder / f"{self.name}{ending}"
+
+    def files(self) -> tuple[Path, ...]:
+        """Return the paths of all files of the scene, of which some may not exist."""
+        return tuple(map(self.path, _ENDINGS))
 
     @property
     def threshold(self) -> float:

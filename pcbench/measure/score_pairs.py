@@ -20,6 +20,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index, Matches, match_both_directions
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.units import check_same_unit
 from pcbench.measure import metrics as definitions
 from pcbench.measure.metrics import FScore, Points
 from pcbench.native import one_kernel_thread
@@ -88,9 +89,13 @@ def score(
         thresholds: distance thresholds of `fscore`.
 
     Raises:
-        InputError: an argument is not a cloud, a metric is unknown, or a threshold is missing or not positive.
+        InputError: an argument is not a cloud, the units of two clouds differ, a metric is unknown, or a threshold is
+            missing or not positive.
     """
     names = _checked_metrics(metrics, thresholds)
+    reference, candidate = _read(reference), _read(candidate)
+    if isinstance(reference, Cloud) and isinstance(candidate, Cloud):
+        check_same_unit(reference.unit, candidate.unit)
     fixed, moving = _near_origin(_points_of(reference), _points_of(candidate))
     pair = MatchedPair.of(Index(fixed), Index(moving))
     values = point_metrics(pair.to_reference.distances, pair.to_candidate.distances, thresholds)
@@ -125,7 +130,10 @@ def score_many(
 
     def score_numbered(number: int, pair: _Pair) -> CloudScore:
         try:
-            first, second = pair
+            try:
+                first, second = pair
+            except (TypeError, ValueError):
+                raise InputError("expected a reference and a candidate") from None
             return score(first, second, names, thresholds)
         except (InputError, TypeError, ValueError) as error:
             raise InputError(f"pair {number}: {error}") from error
@@ -219,6 +227,8 @@ def _near_origin(points: FloatArray, others: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _checked_metrics(metrics: Sequence[str] | str | None, thresholds: Sequence[float]) -> tuple[str, ...]:
+    if np.ndim(thresholds) != 1:
+        raise InputError(f"expected thresholds as numbers such as (0.01, 0.02), got {thresholds!r}")
     if metrics is None:
         return tuple(n for n in METRICS if n not in _PLANE_METRICS and (n != "fscore" or len(thresholds)))
     names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
@@ -229,16 +239,24 @@ def _checked_metrics(metrics: Sequence[str] | str | None, thresholds: Sequence[f
     return names
 
 
+def _read(given: Points) -> Points:
+    """Return the cloud of a file; anything else is returned as it is."""
+    if not isinstance(given, str | os.PathLike):
+        return given
+    from pcbench.io import read_cloud  # its readers are not needed for arrays
+
+    return read_cloud(given)
+
+
 def _points_of(given: Points) -> FloatArray:
     """Return points (N, 3) as float64, without a copy if possible; `Index` checks them."""
     if isinstance(given, Cloud):
         return given.points
-    if isinstance(given, str | os.PathLike):
-        from pcbench.io import read_cloud  # its readers are not needed for arrays
-
-        return read_cloud(given).points
-    if hasattr(given, "detach"):  # a tensor, perhaps with gradients or on a GPU
-        given = given.detach().cpu()
+    if hasattr(given, "detach"):  # a tensor, perhaps with gradients, on a GPU, or of a type that numpy lacks
+        tensor: Any = given.detach().cpu()
+        given = tensor.float() if str(tensor.dtype) == "torch.bfloat16" else tensor
+    if np.ma.is_masked(given):
+        raise InputError("expected points without a mask, got masked coordinates: remove such points first")
     array: Any = np.asarray(given)
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
         raise InputError(f"expected points as real numbers of shape (N, 3), got {array.dtype} {array.shape}")

@@ -84,6 +84,16 @@ def test_conditions_and_user_defined_metrics(files, run):
     assert [line.split("'")[1] for line in without_progress(err).splitlines()] == ["own.far > 0", "d1_rms.c2r > 0"]
 
 
+def test_the_json_replaces_no_input(files, run):
+    table, metric = files / "pairs.csv", files / "own.py"
+    table.write_text("reference,candidate\nref.ply,a.ply\n")
+    metric.write_text("def one(pair): return 1.0\n")
+    for file in (table, metric):
+        before = file.read_text()
+        code, _, err = run("evaluate", "--pairs", table, "--metric", f"{metric}:one", "--json", file)
+        assert code == 2 and "replace an input" in err and file.read_text() == before
+
+
 def test_the_help_names_all_protocols():
     help_text = next(option.help for option in evaluate.params if option.name == "protocol")
     assert set(PROTOCOLS) <= set(re.findall(r"[\w-]+", help_text))

@@ -75,6 +75,8 @@ def test_tensors_are_taken_also_with_gradients():
     expected = pcbench.score(reference, candidate)
     tensor = torch.from_numpy(reference).requires_grad_()
     assert pcbench.score(tensor, torch.from_numpy(candidate)) == expected
+    halved = torch.from_numpy(reference).bfloat16()
+    assert pcbench.score(halved, candidate) == pcbench.score(halved.double(), candidate)
     assert pcbench.score(torch.from_numpy(reference).float(), candidate) == pcbench.score(
         reference.astype(np.float32), candidate
     )
@@ -90,6 +92,14 @@ def test_normals_of_the_reference_are_used_in_both_directions():
     assert pcbench.score(reference, candidate, "d2_rms").d2_rms == pytest.approx((0.25, 0.25), abs=1e-12)
     sideways = pcbench.Cloud(reference, normals=np.tile((1.0, 0.0, 0.0), (200, 1)))
     assert max(pcbench.score(sideways, candidate, "d2_rms").d2_rms) < 0.2
+
+
+def test_normals_of_a_file_are_used(tmp_path):
+    reference, candidate = clouds()
+    cloud = pcbench.Cloud(reference, normals=np.tile([0.0, 0.0, 1.0], (len(reference), 1)))
+    pcbench.write_cloud(tmp_path / "a.ply", cloud)
+    expected = pcbench.score(cloud, candidate, "d2_rms").d2_rms
+    assert pcbench.score(tmp_path / "a.ply", candidate, "d2_rms").d2_rms == expected
 
 
 def test_large_coordinates_lose_nothing():
@@ -127,13 +137,26 @@ def test_errors_name_the_argument_and_the_pair():
     for metrics, thresholds in (("chamfers", ()), (("fscore",), ()), (None, (0.0,))):
         with check_error():
             pcbench.score(reference, candidate, metrics, thresholds)
-    for wrong in (candidate[:, :2], np.full((3, 3), np.nan), np.empty((0, 3)), ["a"], candidate > 0.5):
+    for wrong in (
+        candidate[:, :2],
+        np.full((3, 3), np.nan),
+        np.empty((0, 3)),
+        ["a"],
+        candidate > 0.5,
+        np.ma.masked_less(candidate, 0.5),
+    ):
         with check_error():
             pcbench.score(reference, wrong)
     with check_error():
         pcbench.score_many([(reference, candidate), (reference, candidate[:, :2])])
     with check_error():
         pcbench.score_many([(reference, candidate)], threads=0)
+    with check_error():
+        pcbench.score_many([reference, candidate])
+    with check_error():
+        pcbench.score(reference, candidate, thresholds=0.1)
+    with check_error():
+        pcbench.score(pcbench.Cloud(reference, unit="m"), pcbench.Cloud(candidate, unit="mm"))
 
 
 def test_neither_registration_nor_verdict_is_imported():

@@ -34,12 +34,22 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
     Raises:
         InputError: there is none, or it is damaged.
     """
+    file = camera_file(path)
+    return read_colmap_cameras(file, _warn) if file.is_dir() else read_transforms(file, lambda _: None, _warn)
+
+
+def camera_file(path: Path) -> Path:
+    """Return the folder of a COLMAP model, which may be below the given one, or the file that is given.
+
+    Raises:
+        InputError: a folder has no model.
+    """
     if not path.is_dir():
-        return read_transforms(path, lambda _: None, _warn)
+        return path
     folder = find_model(path, "images", _warn)
     if folder is None:
         raise InputError(f"{path}: expected a folder with a COLMAP model (cameras and images), or a transforms.json")
-    return read_colmap_cameras(folder, _warn)
+    return folder
 
 
 def cull(mesh: Mesh, cameras: Sequence[Camera], tolerance: float | None = None) -> CulledMesh:

@@ -24,16 +24,19 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import vertex_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.thinning import thin_by_disks
+from pcbench.geometry.units import check_same_unit
 from pcbench.io.meshes import to_shape
 from pcbench.measure.protocols.dtu_data import (
     ObservationMask,
+    mask_file,
+    plane_file,
     read_mask,
     read_plane,
     reference_file,
     scan_number,
 )
 from pcbench.measure.protocols.mesh_grid import grid_points
-from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
+from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, Shape, protocol_text
 
 _UNIT = "mm"
 _VARIANTS = ("python", "matlab")
@@ -95,7 +98,9 @@ class Dtu:
         scan = _read_scan(inputs)
         inputs.on_step("reading the candidate")
         candidate = to_shape(inputs.candidate)
-        if inputs.pose is not None:
+        if inputs.pose is None:
+            check_same_unit("mm", candidate.unit)
+        else:
             candidate = candidate.transformed(inputs.pose)
         points = grid_points(candidate, self.thinning) if isinstance(candidate, Mesh) else candidate.points
         runs = []
@@ -106,7 +111,13 @@ class Dtu:
             runs.append(self._measure(thinned, scan))
         return self._evaluation(runs, candidate, points, inputs.seed)
 
-    def _measure(self, thinned: FloatArray, scan: _ScanData) -> _Run:
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the mask, the plane, and the reference if it is named by the folder of the data set."""
+        files = _scan_files(inputs)
+        reference = (files.reference,) if isinstance(files.reference, Path) else ()
+        return (files.mask, files.plane, *reference)
+
+    def _measure(self, thinned: FloatArray, scan: _ObservedScan) -> _Run:
         """Measure the distances between the thinned candidate and the reference's points above the plane."""
         above = scan.reference.points[_above(scan.plane, scan.reference.points)]
         targets = thinned
@@ -195,7 +206,15 @@ class Dtu:
         return notes
 
 
-class _ScanData(NamedTuple):
+class _ScanFiles(NamedTuple):
+    """Files of one scan; the reference may be a shape in memory."""
+
+    reference: Shape
+    mask: Path
+    plane: Path
+
+
+class _ObservedScan(NamedTuple):
     """Contents of the data set for one scan."""
 
     mask: ObservationMask
@@ -222,7 +241,13 @@ class _Run(NamedTuple):
         return (self.accuracy + self.completeness) / 2
 
 
-def _read_scan(inputs: EvaluationInputs) -> _ScanData:
+def _read_scan(inputs: EvaluationInputs) -> _ObservedScan:
+    files = _scan_files(inputs)
+    cloud = vertex_cloud(to_shape(files.reference))
+    return _ObservedScan(read_mask(files.mask), read_plane(files.plane), Index(cloud.points))
+
+
+def _scan_files(inputs: EvaluationInputs) -> _ScanFiles:
     reference, candidate = inputs.reference, inputs.candidate
     names = [inputs.scene, *(path.stem for path in (reference, candidate) if isinstance(path, Path))]
     scan, folders = scan_number(*names), [] if inputs.data is None else [inputs.data]
@@ -230,8 +255,7 @@ def _read_scan(inputs: EvaluationInputs) -> _ScanData:
         folders += [reference] if reference.is_dir() else [reference.parent, *reference.parent.parents[:2]]
         if reference.is_dir():
             reference = reference_file(folders, scan)
-    cloud = vertex_cloud(to_shape(reference))
-    return _ScanData(read_mask(folders, scan), read_plane(folders, scan), Index(cloud.points))
+    return _ScanFiles(reference, mask_file(folders, scan), plane_file(folders, scan))
 
 
 def _above(plane: FloatArray, points: FloatArray) -> NDArray[np.bool_]:

@@ -61,13 +61,21 @@ def scan_number(*names: str) -> int:
     raise InputError(f"dtu: expected the number of a scan, 1 to {_SCANS[-1]}, in a name such as scan24, got {given}")
 
 
-def read_mask(folders: Sequence[Path], scan: int) -> ObservationMask:
-    """Read ObsMask{scan}_10.mat.
+def mask_file(folders: Sequence[Path], scan: int) -> Path:
+    """Return the path of ObsMask{scan}_10.mat.
 
     Raises:
-        InputError: there is no such file, or it is damaged.
+        InputError: there is no such file.
     """
-    file = _data_file(folders, _MASK_FOLDERS, f"ObsMask{scan}_{_MARGIN_MM}.mat")
+    return _data_file(folders, _MASK_FOLDERS, f"ObsMask{scan}_{_MARGIN_MM}.mat")
+
+
+def read_mask(file: Path) -> ObservationMask:
+    """Read an observation mask.
+
+    Raises:
+        InputError: the file is damaged.
+    """
     voxels, box, side = read_matlab_arrays(file, "ObsMask", "BB", "Res")
     if voxels.ndim != 3 or box.shape != (2, 3) or side.size != 1:
         raise InputError(
@@ -80,13 +88,21 @@ def read_mask(folders: Sequence[Path], scan: int) -> ObservationMask:
     return ObservationMask(voxels != 0, corners, length)
 
 
-def read_plane(folders: Sequence[Path], scan: int) -> FloatArray:
-    """Read the ground plane (4,) of Plane{scan}.mat: points x above it have a positive product with (x, 1).
+def plane_file(folders: Sequence[Path], scan: int) -> Path:
+    """Return the path of Plane{scan}.mat.
 
     Raises:
-        InputError: there is no such file, or it is damaged.
+        InputError: there is no such file.
     """
-    file = _data_file(folders, _MASK_FOLDERS, f"Plane{scan}.mat")
+    return _data_file(folders, _MASK_FOLDERS, f"Plane{scan}.mat")
+
+
+def read_plane(file: Path) -> FloatArray:
+    """Read a ground plane (4,): points x above it have a positive product with (x, 1).
+
+    Raises:
+        InputError: the file is damaged.
+    """
     [stored] = read_matlab_arrays(file, "P")
     plane = stored.astype(np.float64).reshape(-1)
     if plane.shape != (4,) or not np.isfinite(plane).all():

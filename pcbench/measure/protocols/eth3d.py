@@ -23,6 +23,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, vertex_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.regions import Region
+from pcbench.geometry.units import check_same_unit
 from pcbench.io.files import errors_named
 from pcbench.io.meshes import to_shape
 from pcbench.io.meshlab_project import ProjectMesh, read_meshlab_project
@@ -96,6 +97,8 @@ class Eth3d:
         scans = [_read_scan(mesh, kind) for mesh in read_meshlab_project(_project_file(inputs))]
         inputs.on_step("reading the candidate")
         shape, notes = to_shape(inputs.candidate), list[str]()
+        if inputs.pose is None:
+            check_same_unit("m", shape.unit)
         if isinstance(shape, Mesh):
             shape = shape.sample(REFERENCE_SAMPLES, inputs.seed)
             notes.append(
@@ -134,6 +137,11 @@ class Eth3d:
             tuple(ProtocolScore(name, value, better=None) for name, value in counts.items()),
             tuple(notes),
         )
+
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the project and its scans."""
+        project = _project_file(inputs)
+        return (project, *(mesh.file for mesh in read_meshlab_project(project)))
 
     def _completeness(self, scans: list[_LaserScan], points: Floats, crop: Region | None) -> tuple[list[float], int]:
         """Return the completeness at each tolerance, and the number of scan points that count."""

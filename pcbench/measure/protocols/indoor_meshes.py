@@ -24,7 +24,7 @@ from pcbench.geometry.units import metres
 from pcbench.geometry.voxels import cell_means
 from pcbench.io.meshes import to_shape
 from pcbench.measure.metrics import harmonic_mean
-from pcbench.measure.protocols.culling import cull, read_cameras
+from pcbench.measure.protocols.culling import camera_file, cull, read_cameras
 from pcbench.measure.protocols.protocol import Evaluation, EvaluationInputs, ProtocolScore, protocol_text
 
 _UNIT = "cm"
@@ -97,18 +97,25 @@ class IndoorMeshes:
             notes.append(note)
         inputs.on_step("sampling the meshes")
         # Two seeds: the samples of equal meshes must not coincide.
-        pair = _MeshPair(self._points(candidate, inputs.seed), self._points(reference, inputs.seed + 1))
+        pair = _SampledPair(self._points(candidate, inputs.seed), self._points(reference, inputs.seed + 1))
         notes += [
             self._sampling_note("candidate", candidate, pair.candidate, inputs.seed),
             self._sampling_note("reference", reference, pair.reference, inputs.seed + 1),
         ]
         if inputs.crop is not None:
-            pair = _MeshPair(*(_crop(cloud, inputs.crop, f"the {name}'s") for name, cloud in pair._asdict().items()))
+            pair = _SampledPair(*(_crop(cloud, inputs.crop, f"the {name}'s") for name, cloud in pair._asdict().items()))
             notes.append(f"both are cropped to {inputs.crop.describe()}")
         inputs.on_step("measuring distances")
         values = _measure(pair, self._in_unit(self.threshold_cm))
         counts = [ProtocolScore(f"{name}_points", len(cloud), better=None) for name, cloud in pair._asdict().items()]
         return Evaluation(protocol_text(self), self._scores(values), tuple(counts), tuple(notes))
+
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the cameras to which meshes are culled."""
+        return (camera_file(self._camera_path(inputs)),) if self.cameras else ()
+
+    def _camera_path(self, inputs: EvaluationInputs) -> Path:
+        return (inputs.data or Path()) / self.cameras.replace("{scene}", inputs.scene)
 
     def _in_unit(self, centimetres: float) -> float:
         """Return a length in the unit of the coordinates."""
@@ -125,7 +132,7 @@ class IndoorMeshes:
     ) -> tuple[Mesh, Mesh, str]:
         if not (isinstance(reference, Mesh) and isinstance(candidate, Mesh)):
             raise InputError("mesh: expected two meshes to cull, got a cloud: leave out cameras")
-        path = (inputs.data or Path()) / self.cameras.replace("{scene}", inputs.scene)
+        path = self._camera_path(inputs)
         cameras = read_cameras(path)
         tolerance = self._in_unit(self.tolerance_cm) if self.occlusion else None
         ours, theirs = cull(reference, cameras, tolerance), cull(candidate, cameras, tolerance)
@@ -171,7 +178,7 @@ class IndoorMeshes:
         return tuple(scores)
 
 
-class _MeshPair(NamedTuple):
+class _SampledPair(NamedTuple):
     """The points that are compared."""
 
     candidate: Cloud
@@ -200,7 +207,7 @@ class _Measurement(NamedTuple):
     signed_cosines: _Cosines
 
 
-def _measure(pair: _MeshPair, threshold: float) -> _Measurement:
+def _measure(pair: _SampledPair, threshold: float) -> _Measurement:
     candidate, reference = pair
     forth, back = match_both_directions(Index(reference.points), Index(candidate.points))
     cosines = signed_cosines = _Cosines()

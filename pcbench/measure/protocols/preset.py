@@ -24,6 +24,7 @@ from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, sample_candidate, s
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
+from pcbench.geometry.units import check_same_unit
 from pcbench.io.contents import FileStatus, status_of
 from pcbench.io.source import Source
 from pcbench.measure import presets
@@ -62,13 +63,17 @@ class PcbenchProtocol:
     def __post_init__(self) -> None:
         _check_settings(self.name, self.thresholds, self.samples)
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return no files."""
+        return ()
+
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Measure mean distances, D1, D2, Chamfer, Hausdorff and F-scores in the given pose.
 
         Raises:
             InputError: a file cannot be read, or a region contains no point.
         """
-        pair = _Pair.read(inputs, self.samples)
+        pair = _PosedPair.read(inputs, self.samples)
         reference, moved = pair.reference, pair.moved
         inputs.on_step("matching points")
         matched = MatchedPair.of(reference.index, Index(moved))
@@ -113,13 +118,17 @@ class PresetProtocol:
     def _mpeg_peak(self) -> float | None:
         return None
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return no files."""
+        return ()
+
     def evaluate(self, inputs: EvaluationInputs) -> Evaluation:
         """Compute the preset in the given pose.
 
         Raises:
             InputError: a file cannot be read, or a region contains no point.
         """
-        pair = _Pair.read(inputs, self.samples)
+        pair = _PosedPair.read(inputs, self.samples)
         reference, moved = pair.reference, pair.moved
         rows, rows_back = pair.rows_inside()
         inputs.on_step("matching points")
@@ -279,7 +288,7 @@ class _PreparedReference:
         return self.index.nearest_other() if len(self.index) > 1 else None
 
 
-class _Pair(NamedTuple):
+class _PosedPair(NamedTuple):
     """The reference, the candidate's points near the reference's origin, and what a reader has to know."""
 
     reference: _PreparedReference
@@ -289,11 +298,11 @@ class _Pair(NamedTuple):
     notes: tuple[str, ...]
 
     @classmethod
-    def read(cls, inputs: EvaluationInputs, samples: int) -> _Pair:
+    def read(cls, inputs: EvaluationInputs, samples: int) -> _PosedPair:
         """Read both shapes, sample meshes, and apply the pose.
 
         Raises:
-            InputError: a file cannot be read, or its coordinates are degrees.
+            InputError: a file cannot be read, its coordinates are degrees, or the files have different units.
         """
         notes: list[str] = []
         inputs.on_step("reading the clouds")
@@ -303,6 +312,8 @@ class _Pair(NamedTuple):
             cloud = shape.sample(samples or REFERENCE_SAMPLES, inputs.seed)
         else:
             cloud = sample_candidate(shape, reference.cloud, inputs.seed)
+        if inputs.pose is None:  # a pose may have the scale between two units
+            check_same_unit(reference.cloud.unit, cloud.unit)
         pose = Similarity.identity() if inputs.pose is None else inputs.pose
         if isinstance(shape, Mesh):
             notes.append(str(sampling_notice(shape, len(cloud), inputs.seed, scale=pose.scale)))
@@ -369,7 +380,7 @@ def _check_settings(name: str, thresholds: tuple[float, ...], samples: int) -> N
 
 
 def _measure_user_defined(
-    names: Sequence[str], pair: _Pair, matched: MatchedPair, rows: IntArray, rows_back: IntArray
+    names: Sequence[str], pair: _PosedPair, matched: MatchedPair, rows: IntArray, rows_back: IntArray
 ) -> OwnResults:
     """Call user-defined metrics with the points at `rows` of the candidate and at `rows_back` of the reference."""
     metrics = [OwnMetric.of(name) for name in names]

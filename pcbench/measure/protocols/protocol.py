@@ -106,6 +106,16 @@ class BenchmarkProtocol(Protocol):
         """
         ...
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the files and folders that the scores depend on, besides the reference, the candidate and a crop.
+
+        They need not exist. Scores are evaluated again if one of them changes.
+
+        Raises:
+            InputError: a file is missing that the evaluation needs.
+        """
+        ...
+
 
 def setting_texts(protocol: BenchmarkProtocol) -> dict[str, str]:
     """Return the settings of a protocol that differ from the official ones, by name."""

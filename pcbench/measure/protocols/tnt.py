@@ -105,6 +105,15 @@ class TanksAndTemples:
             (f"the candidate is {placement.how}", *notes),
         )
 
+    def other_files(self, inputs: EvaluationInputs) -> tuple[Path, ...]:
+        """Return the files of the scene, and the candidate's trajectory."""
+        trajectory = self._trajectory_file(inputs)
+        try:
+            scene = _scene(inputs).files()
+        except InputError:
+            scene = ()  # not needed for a given pose and crop
+        return (*scene, *([] if trajectory is None else [trajectory]))
+
     def _candidate(self, shape: Cloud | Mesh, reference: Cloud, seed: int) -> tuple[FloatArray, list[str]]:
         """Return the points (N, 3) that stand for the candidate, and how they were chosen."""
         if not isinstance(shape, Mesh):

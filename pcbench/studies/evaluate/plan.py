@@ -237,11 +237,15 @@ def plan_csv(file: Path, *, register: str = "none", crop: str = "none") -> Evalu
     """
     with errors_named(file):
         text = read_text(file)
-    rows = csv.DictReader(io.StringIO(text), skipinitialspace=True)
+    first_line = text.partition("\n")[0]
+    separator = ";" if ";" in first_line and "," not in first_line else ","  # spreadsheets of some languages write ;
+    rows = csv.DictReader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
     header = [name.strip() for name in rows.fieldnames or ()]
     rows.fieldnames = header
     if unknown := [name for name in header if name not in _COLUMNS]:
         raise InputError(f"{file}: expected the columns {', '.join(_COLUMNS)}, got {unknown[0]!r}")
+    if repeated := [name for name in _COLUMNS if header.count(name) > 1]:
+        raise InputError(f"{file}: expected one column {repeated[0]!r}, got {header.count(repeated[0])}")
     if absent := [name for name in _COLUMNS[:2] if name not in header]:
         raise InputError(f"{file}: expected a column {absent[0]!r}, got {', '.join(header) or 'none'}")
     pairs = []
@@ -249,6 +253,8 @@ def plan_csv(file: Path, *, register: str = "none", crop: str = "none") -> Evalu
         if None in row or None in row.values():
             raise InputError(f"{file}, line {number}: expected {len(header)} columns as in its header")
         values = {name: (value or "").strip() for name, value in row.items()}
+        if separator == ";":
+            values["seconds"] = values.get("seconds", "").replace(",", ".")
         pairs.append(_row_pair(file, number, values, register, crop))
     if not pairs:
         raise InputError(f"{file}: expected a line for each pair, got none")

@@ -166,17 +166,7 @@ def _evaluate(shared: SharedSettings, task: PairTask, step: Callable[[str], None
         registration = register(Path(pair.reference), Path(pair.candidate), method)
         pose = registration.T_reference_candidate
         notes += [f"registration: {warning}" for warning in registration.warnings]
-    inputs = EvaluationInputs(
-        reference=Path(pair.reference),
-        candidate=Path(pair.candidate),
-        scene=pair.scene,
-        data=shared.data,
-        pose=pose,
-        crop=_region(pair),
-        seed=shared.seed,
-        metrics=shared.metrics,
-        on_step=step,
-    )
+    inputs = replace(_paths(shared, pair), pose=pose, crop=_region(pair), metrics=shared.metrics, on_step=step)
     evaluation = protocol.evaluate(inputs)
     result = PairEvaluation(
         pair.scene,
@@ -194,6 +184,13 @@ def _evaluate(shared: SharedSettings, task: PairTask, step: Callable[[str], None
         folder=task.folder,
     )
     return PairRecord(result, evaluation.protocol, _columns(evaluation.scores), _columns(evaluation.counts))
+
+
+def _paths(shared: SharedSettings, pair: PlannedPair) -> EvaluationInputs:
+    """Return the inputs of a pair without its pose and region."""
+    return EvaluationInputs(
+        Path(pair.reference), Path(pair.candidate), scene=pair.scene, data=shared.data, seed=shared.seed
+    )
 
 
 def _columns(scores: Iterable[ProtocolScore]) -> tuple[ScoreColumn, ...]:
@@ -253,8 +250,8 @@ def _key(shared: SharedSettings, pair: PlannedPair) -> dict[str, Any]:
     """Return all that the scores of a pair depend on; the contents of its files are read."""
     files = [Path(pair.reference), Path(pair.candidate), *method_files(pair.register), region_file(pair.crop)]
     files += map(code_file, shared.metrics)
-    if Path(pair.reference).suffix.lower() == ".mlp":  # a project of scans in other files
-        files += sorted(file for file in Path(pair.reference).parent.iterdir() if file.is_file())
+    others = parse_protocol(shared.protocol).other_files(_paths(shared, pair))
+    files += [file for file in others if file.exists()]
     return {
         "pair": {name: value for name, value in asdict(pair).items() if name not in ("seconds", "missing")},
         "protocol": shared.protocol,

@@ -15,7 +15,9 @@ from functools import partial
 from pathlib import Path
 
 from pcbench.errors import InputError
+from pcbench.geometry.region_text import region_file
 from pcbench.io.contents import status_of
+from pcbench.io.named_code import code_file
 from pcbench.measure.own_metrics import OwnMetric, check_metrics
 from pcbench.measure.protocols.preset import PcbenchProtocol
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, protocol_text
@@ -146,7 +148,7 @@ def run_evaluation(
         raise InputError(
             f"expected the protocol pcbench with user-defined metrics, got {protocol.name}: evaluate once for each"
         )
-    check_inputs(plan.pairs, out)
+    check_inputs(plan.pairs, settings, out)
     for pair in {(pair.register, pair.crop): pair for pair in plan.pairs if not pair.missing}.values():
         _check_method(pair.register)
         check_crop(pair.crop)
@@ -207,8 +209,11 @@ def shared_settings(
     return SharedSettings(out, protocol, data, fingerprint(state), seed, code, metrics)
 
 
-def check_inputs(pairs: Iterable[PlannedPair], out: Path | None) -> None:
+def check_inputs(pairs: Iterable[PlannedPair], settings: EvaluateSettings, out: Path | None) -> None:
     """Check that no input is inside the output folder, where results may replace it.
+
+    The output is not inside the folder of the benchmark either: its files would be taken for changes of the benchmark,
+    and a later run would evaluate all pairs again.
 
     Raises:
         InputError: one is.
@@ -216,11 +221,22 @@ def check_inputs(pairs: Iterable[PlannedPair], out: Path | None) -> None:
     if out is None:
         return
     folder = out.resolve()
+    data = [] if settings.protocol_data is None else [Path(settings.protocol_data)]
+    if any(folder.is_relative_to(path.resolve()) for path in data):
+        raise InputError(f"{out}: expected --out outside the folder {data[0]} of the benchmark's data")
+    for path in input_files(pairs, settings):
+        if path.resolve().is_relative_to(folder):
+            raise InputError(f"{path}: the evaluation replaces files in {out}: choose another --out")
+
+
+def input_files(pairs: Iterable[PlannedPair], settings: EvaluateSettings) -> list[Path]:
+    """Return the files and folders that are named for an evaluation, each once; they need not exist."""
+    paths = [] if settings.protocol_data is None else [Path(settings.protocol_data)]
+    paths += [file for file in map(code_file, settings.metrics) if file is not None]
     for pair in pairs:
-        paths = (Path(pair.reference), Path(pair.candidate), *method_files(pair.register))
-        for path in (path for path in paths if path != Path()):
-            if path.resolve().is_relative_to(folder):
-                raise InputError(f"{path}: the evaluation replaces files in {out}: choose another --out")
+        paths += [Path(file) for file in (pair.reference, pair.candidate) if file]
+        paths += [*method_files(pair.register), *filter(None, [region_file(pair.crop)])]
+    return list(dict.fromkeys(paths))
 
 
 def _check_method(text: str) -> None:

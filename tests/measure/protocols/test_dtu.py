@@ -235,6 +235,11 @@ def test_unusable_files(data, candidate, tmp_path):
     refuse()
 
 
+def test_a_candidate_in_another_unit_is_refused(data, candidate):
+    with check_error():
+        Dtu().evaluate(EvaluationInputs(data, Cloud(candidate / 1000, unit="m"), "3"))
+
+
 def test_a_reference_beside_no_mask(tmp_path):
     write_cloud(tmp_path / "stl003_total.ply", Cloud(np.zeros((1, 3))))
     with check_error():

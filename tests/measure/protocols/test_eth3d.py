@@ -193,6 +193,8 @@ def test_unusable_references_and_candidates_are_refused(tmp_path):
         Eth3d().evaluate(EvaluationInputs(Cloud(walls), candidate, data=tmp_path / "none", scene="pipes"))
     with check_error():
         Eth3d().evaluate(EvaluationInputs(path, Cloud(walls + 1e20)))
+    with check_error():
+        Eth3d().evaluate(EvaluationInputs(path, Cloud(walls, unit="mm")))
     for number, matrix in enumerate((np.diag([2.0, 2, 2, 1]), np.diag([-1.0, 1, 1, 1]), rigid + 1, 1e20 * rigid)):
         folder = tmp_path / str(number)
         folder.mkdir()

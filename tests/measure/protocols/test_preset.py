@@ -127,3 +127,14 @@ def test_settings_and_regions_are_checked(pair):
             parse_protocol(text)
     with check_error():
         parse_protocol("pcbench").evaluate(EvaluationInputs(*pair, crop=pcbench.Box([9, 9, 9], [10, 10, 10])))
+
+
+def test_different_units_are_refused_without_a_pose():
+    clouds = (pcbench.Cloud(np.eye(3) * scale, unit=unit) for scale, unit in ((1.0, "m"), (1000.0, "mm")))
+    inputs = EvaluationInputs(*clouds)
+    for protocol in ("pcbench", "pytorch3d"):
+        with check_error():
+            parse_protocol(protocol).evaluate(inputs)
+    scaled = replace(inputs, pose=pcbench.Similarity(np.eye(3), np.zeros(3), 0.001))
+    scores = {score.name: score.value for score in parse_protocol("pytorch3d").evaluate(scaled).scores}
+    assert scores["chamfer"] < 1e-20  # rounding

@@ -118,18 +118,27 @@ def test_names_of_a_csv_file_are_those_of_the_files_by_default(files):
     assert (pair.scene, pair.method) == ("scan001", "mesh")
 
 
+def test_semicolons_and_decimal_commas_of_spreadsheets_are_read(files):
+    table = files / "pairs.csv"
+    table.write_text("reference;candidate;seconds\ngt/scan001.ply;a/scan1/mesh.ply;1,5\n")
+    (pair,) = plan_csv(table).pairs
+    assert (pair.candidate, pair.seconds) == (str(files / "a/scan1/mesh.ply"), 1.5)
+
+
 def test_wrong_csv_files_are_refused(files):
     table = files / "pairs.csv"
     for text in (
         "",
         "reference,method\n",
         "reference,candidate,time\n",
+        "reference,reference,candidate\na.ply,b.ply,c.ply\n",
         "reference,candidate\n",
         "reference,candidate\na.ply\n",
         "reference,candidate\na.ply,\n",
         "reference,candidate\na.ply,b.ply\na.ply,c/b.ply\n",
         "reference,candidate,seconds\na.ply,b.ply,-1\n",
         "reference,candidate,seconds\na.ply,b.ply,fast\n",
+        'reference,candidate,seconds\na.ply,b.ply,"1,500"\n',
     ):
         table.write_text(text)
         with check_error():

@@ -10,6 +10,7 @@ from optional import import_or_skip
 from wording import check_error, check_text
 
 import pcbench
+from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.studies.evaluate import runs
 from pcbench.studies.evaluate.plan import EvaluationPlan, PlannedPair
 from pcbench.studies.evaluate.results import KIND, EvaluateSettings
@@ -111,6 +112,27 @@ def test_finished_pairs_are_not_evaluated_again(finished, tmp_path, monkeypatch)
     assert third.pairs[0].scores != first.pairs[0].scores
 
 
+def test_files_beside_the_inputs_are_inputs_of_a_resumed_run(tmp_path):
+    barn = tmp_path / "Barn"
+    barn.mkdir()
+    points = np.random.default_rng(0).random((500, 3))
+    for file in (barn / "Barn.npy", tmp_path / "candidate.npy"):
+        np.save(file, points)
+    (barn / "Barn_trans.txt").write_text(format_matrix(Similarity.identity()))
+
+    def points_inside(height):
+        volume = {"class_name": "SelectionPolygonVolume", "orthogonal_axis": "Z", "axis_min": -1, "axis_max": height}
+        volume["bounding_polygon"] = [[-1, -1, 0], [2, -1, 0], [2, 2, 0], [-1, 2, 0]]
+        (barn / "Barn.json").write_text(json.dumps(volume))
+        pair = PlannedPair("Barn", "ours", str(barn / "Barn.npy"), str(tmp_path / "candidate.npy"))
+        missing = PlannedPair("Truck", "ours", "", "", missing="no file")
+        settings = EvaluateSettings("tnt:refine=false,threshold=0.1", None, (), 0, 1, None)
+        study = run_evaluation(EvaluationPlan((pair, missing)), settings, out=tmp_path / "out", figures=False).study
+        return study.pairs[0].counts["candidate_points"]
+
+    assert points_inside(2.0) > 1.5 * points_inside(0.5)
+
+
 def test_a_pair_that_fails_is_a_row(tmp_path, monkeypatch):
     reference, _ = write_scenes(tmp_path, 2)
     (tmp_path / "bad" / "s0.npy").write_bytes(b"no array")
@@ -171,6 +193,10 @@ def test_inputs_are_never_in_the_output_folder(tmp_path):
     (tmp_path / "notes" / "text.txt").touch()
     with check_error():
         pcbench.evaluate(reference, candidates, out=tmp_path / "notes")
+    with check_error():
+        pcbench.evaluate(reference, candidates, protocol_data=tmp_path, out=tmp_path / "out")
+    with check_error():
+        pcbench.evaluate(reference, candidates, crop=f"polygon:{tmp_path / 'out' / 'a.json'}", out=tmp_path / "out")
 
 
 def test_wrong_arguments_are_refused_before_any_work(tmp_path):
