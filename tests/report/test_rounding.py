@@ -36,6 +36,7 @@ def has_warning(comparison):
 
 
 @pytest.mark.long
+@pytest.mark.with_deformation
 def test_rounding_is_named_as_what_explains_the_distances():
     comparison = compare(single(hills(0)), {"a": single(hills(1))})
     d2 = comparison["a"].metrics.d2_mse
