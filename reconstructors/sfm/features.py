@@ -12,6 +12,7 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
+from pcbench.io.image_header import JPEG_AND_PNG
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_luminance
@@ -101,8 +102,8 @@ def shared_intrinsics(scene: Scene) -> list[LensGroup]:
 
 
 def working_images(scene: Scene, workspace: Path) -> Path:
-    """Return the folder of the images at the working size: the originals, or a stage with smaller ones."""
-    if scene.image_scale == 1:
+    """Return the folder of the images for COLMAP: the originals, or a stage with smaller or converted ones."""
+    if scene.image_scale == 1 and all(name.lower().endswith(JPEG_AND_PNG) for name in scene.images):
         return scene.folder
     inputs = {"scene": scene.fingerprint(cameras=False), "exif": True}
     return stage(workspace, "images", inputs, lambda folder: scene.write_images(folder))

@@ -81,7 +81,7 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
         names_apart = sorted({image.name for image in model.images.values() if image.has_pose}.difference(names))
         if model is not largest and names_apart:  # other components may have the same images
             notes.append(
-                f"warning: {model.num_reg_images()} images form a model of their own, which is left out:"
+                f"warning: {model.num_reg_images()} images form a separate model, which is left out:"
                 f" {', '.join(names_apart)}; add images that connect the two"
             )
     if unregistered:

@@ -429,7 +429,7 @@ def test_the_largest_component_is_kept(photographs, tmp_path):
     (tmp_path / "work").mkdir()
     reconstruction = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
     assert sorted(reconstruction.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
-    assert "006.png, 007.png, 008.png" in find_note(reconstruction, "model of their own")
+    assert "006.png, 007.png, 008.png" in find_note(reconstruction, "separate model")
     assert "3 of 8 images" in find_note(reconstruction, "not registered")
 
 
