@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pcbench.errors import ReconstructionError
+from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from reconstructors.sfm.features import DATABASE, working_images
@@ -35,13 +36,26 @@ def map_images(
         images = working_images(scene, workspace)
         if mapper == "incremental":
             options = _incremental_options(refine, seed, len(scene))
-            models = pycolmap.incremental_mapping(verified / DATABASE, images, folder, options)
+            registered = 0
+
+            def start() -> None:
+                nonlocal registered
+                registered = 2
+
+            def count() -> None:
+                nonlocal registered
+                registered += 1
+                progress(f"solving cameras: {registered} of {len(scene)} images")
+
+            reports = {"initial_image_pair_callback": start, "next_image_callback": count}
+            models = pycolmap.incremental_mapping(verified / DATABASE, images, folder, options, **reports)
             if all(model.num_reg_images() <= 2 for model in models.values()) and len(scene) > 2:
                 _accept_little_parallax(options)
                 for model in folder.iterdir():
                     shutil.rmtree(model)
-                pycolmap.incremental_mapping(verified / DATABASE, images, folder, options)
+                pycolmap.incremental_mapping(verified / DATABASE, images, folder, options, **reports)
         else:
+            progress("solving all cameras at once")
             # The global mapper changes two-view geometries in the database: use a copy.
             database = folder / DATABASE
             shutil.copyfile(verified / DATABASE, database)

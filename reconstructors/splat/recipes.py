@@ -1,4 +1,4 @@
-"""What a training uses unless it is set otherwise: our defaults, and those of Gao et al. 2025."""
+"""Recipes: the settings of a training that are not given, by default ours, and those of Gao et al. 2025."""
 
 from __future__ import annotations
 

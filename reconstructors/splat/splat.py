@@ -23,7 +23,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import full_disk_explained, library_versions, stage, stage_key
+from pcbench.plugins.stages import library_versions, stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
@@ -219,8 +219,7 @@ class GaussianSplatting:
         import torch
 
         try:
-            with full_disk_explained(workspace):
-                return self._reconstruct(scene, workspace)
+            return self._reconstruct(scene, workspace)
         except torch.cuda.OutOfMemoryError as error:
             raise ReconstructionError(
                 "the CUDA device ran out of memory: set fewer gaussians, a smaller image_side, or device=cpu"
