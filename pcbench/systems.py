@@ -115,6 +115,16 @@ def memory_limit() -> int | None:
     return None if limit == resource.RLIM_INFINITY else limit
 
 
+def file_size_limit() -> int | None:
+    """Return the limit of the size of files that this process writes, in bytes; None without a limit."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
 def peak_memory() -> int:
     """Return the peak resident memory of this process in bytes; 0 if unknown."""
     try:

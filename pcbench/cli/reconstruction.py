@@ -179,7 +179,7 @@ def reconstruct(
     if write_cameras is not None and not reconstruction.cameras:
         warn(f"{write_cameras}: not written, because {name} returned no cameras")
     elif write_cameras is not None:
-        write(write_cameras, reconstruction.cameras, find_images(scene)[0], reconstruction.cloud)
+        write(write_cameras, reconstruction.cameras, find_images(scene).folder, reconstruction.cloud)
     for note in reconstruction.notes:
         if note.startswith("warning: "):
             warn_unless(quiet)(note.removeprefix("warning: "))

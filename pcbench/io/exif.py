@@ -15,7 +15,8 @@ import numpy as np
 
 from pcbench.geometry.geodesy import Gps
 
-_ORIENTATION, _GPS_DIRECTORY = 0x0112, 0x8825
+GPS_DIRECTORY = 0x8825
+_ORIENTATION = 0x0112
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}  # bytes of a value, by TIFF type
 
@@ -29,7 +30,7 @@ def gps_from_exif(tiff: bytes) -> Gps | None:
     if order is None:
         return None
     try:
-        pointer = _first_directory(tiff, order).get(_GPS_DIRECTORY)
+        pointer = _first_directory(tiff, order).get(GPS_DIRECTORY)
         if pointer is None:
             return None
         fields = _directory(tiff, order, struct.unpack(f"{order}I", pointer[:4])[0])

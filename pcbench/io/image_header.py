@@ -1,33 +1,44 @@
 """Read the size, orientation and GPS position of an image without decoding it.
 
-The formats are JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: 1000 images take 0.1 s.
+JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR) are read here. Nothing is decompressed: 1000 images take 0.1 s. TIFF
+and WebP, which are rare, are read by Pillow.
 
-Why not Pillow: Pillow 13 gives the same sizes and positions for intact images, but takes two to eight times as long
-because it reads the complete header. It raises three kinds of errors, and warnings. It also refuses images above its
-pixel limit or with damage elsewhere, and would be a dependency even if no image is decoded.
+Why not Pillow for all: Pillow 13 gives the same sizes and positions for intact images, but takes two to eight times as
+long because it reads the complete header. It raises three kinds of errors, and warnings. It also refuses images above
+its pixel limit or with damage elsewhere, and would be a dependency even if no image is decoded.
 """
 
 from __future__ import annotations
 
 import struct
+import warnings
+import zlib
 from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from pcbench.errors import InputError
+from pcbench.extras import require
 from pcbench.geometry.geodesy import Gps
-from pcbench.io.exif import gps_from_exif, orientation_from_exif
+from pcbench.io.exif import GPS_DIRECTORY, gps_from_exif, orientation_from_exif
 from pcbench.io.files import errors_named
 from pcbench.regular_files import open_regular
 
-EXTENSIONS = (".jpg", ".jpeg", ".png")
+JPEG_AND_PNG = (".jpg", ".jpeg", ".png")
+EXTENSIONS = (*JPEG_AND_PNG, ".tif", ".tiff", ".webp")
 
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
+_TIFF_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "LAB", "I;16", "I;16L", "I;16B")  # of Pillow
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_ALPHA_TYPES = (4, 6)  # colour types with an alpha channel: grey and RGB
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 _MAX_EXIF_BYTES = 1 << 20  # of a PNG; a JPEG's segment is smaller
+
+
+# What Pillow raises for damaged files.
+PILLOW_ERRORS = (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error, zlib.error)
 
 
 class ImageHeader(NamedTuple):
@@ -45,22 +56,28 @@ class ImageHeader(NamedTuple):
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the size, GPS position and orientation of a JPEG or PNG file.
+    """Read the size, GPS position and orientation of a JPEG, PNG, TIFF or WebP file.
 
     Raises:
-        InputError: the file is missing, empty, truncated, or in neither format. The message starts with the path.
+        InputError: the file is missing, empty, truncated, in none of these formats, or has several pages or values that
+            are no colours. The message starts with the path.
+        MissingExtra: the file is a TIFF or WebP image, and Pillow is not installed.
     """
     with errors_named(path), open_regular(path) as file:
-        start = file.read(8)
+        start = file.read(12)
+        file.seek(8)
         if not start:
             raise InputError("expected an image, got an empty file (0 bytes): copy it again or remove it")
-        if start == _PNG:
+        if start[:8] == _PNG:
             header = _png(file)
         elif start[:2] == b"\xff\xd8":
             file.seek(2)
             header = _jpeg(file)
+        elif start[:4] in _TIFF or (start[:4] == b"RIFF" and start[8:] == b"WEBP"):
+            file.seek(0)
+            header = _with_pillow(file)
         else:
-            raise InputError("expected a JPEG or PNG image, got another format: convert it to JPEG or PNG")
+            raise InputError("expected a JPEG, PNG, TIFF or WebP image, got another format: convert it to JPEG or PNG")
         if header.width < 1 or header.height < 1:
             raise InputError(
                 f"expected an image of at least 1 x 1 pixels, got {header.width} x {header.height}: copy it again"
@@ -125,3 +142,30 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
         else:
             file.seek(length - 2, 1)
     raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
+
+
+def _with_pillow(file: BinaryIO) -> ImageHeader:
+    """Read the header of a TIFF or WebP file."""
+    pillow = require("PIL.Image")
+    try:
+        with warnings.catch_warnings(), pillow.open(file) as image:
+            warnings.simplefilter("ignore")  # Pillow warns about damaged EXIF blocks and large images
+            pages, mode = getattr(image, "n_frames", 1), image.mode
+            exif = image.getexif()
+            exif.get_ifd(GPS_DIRECTORY)  # loads it
+            block = exif.tobytes().removeprefix(b"Exif\0\0") if exif else b""
+            header = ImageHeader(
+                image.width,
+                image.height,
+                gps_from_exif(block),
+                image.has_transparency_data,
+                orientation_from_exif(block),
+            )
+    except PILLOW_ERRORS as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"expected a TIFF or WebP image, got a damaged header ({reason}): copy it again") from error
+    if pages > 1:
+        raise InputError(f"expected one image, got {pages} pages: save each as a separate file")
+    if mode not in _TIFF_MODES:
+        raise InputError(f"expected grey values or colours of 8 or 16 bits, got values of type {mode}: convert it")
+    return header

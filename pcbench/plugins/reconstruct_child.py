@@ -5,6 +5,7 @@ It writes outcome.json and, after a success, cloud.ply and the cameras.
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import sys
@@ -13,7 +14,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import InputError, MissingExtra, PcbenchError
+from pcbench.errors import InputError, MissingExtra, PcbenchError, reason_of
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Plugin, Reconstruction, Reconstructor, find_plugin
@@ -67,7 +68,8 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
         return {"status": "failed", "message": str(error)}
     except Exception as error:
         traceback.print_exc()
-        return {"status": "crashed", "message": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+        reason = _disk_problem(error, workspace) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return {"status": "crashed", "message": reason}
     if not isinstance(result, Reconstruction):
         what = type(result).__name__
         return {"status": "garbage", "message": f"expected {plugin.name} to return a Reconstruction, got {what}"}
@@ -83,6 +85,15 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
     survey = {"survey": result.residuals.plain()} if result.residuals else {}
     origin = {} if result.origin is None else {"origin": list(result.origin)}
     return {"status": "ok", "gauge": result.gauge, "cameras": len(result.cameras), "notes": notes, **survey, **origin}
+
+
+def _disk_problem(error: Exception, workspace: Path) -> str | None:
+    """Return what to do if a disk or the limit of the size of files stopped a run; None for other errors."""
+    if not isinstance(error, OSError):
+        return None
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk of {workspace} is full: free some space and run it again; finished steps are kept"
+    return f"a file is {reason_of(error)}; finished steps are kept" if error.errno == errno.EFBIG else None
 
 
 def _peak_gpu_bytes() -> int | None:

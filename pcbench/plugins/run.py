@@ -21,7 +21,7 @@ from pcbench.plugins.progress import follow_log
 from pcbench.registration import SurveyResiduals
 from pcbench.regular_files import read_json
 from pcbench.scratch import atomic_write, lock_output, scratch_folder
-from pcbench.systems import SIGKILL, signal_name
+from pcbench.systems import SIGKILL, file_size_limit, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
@@ -162,6 +162,11 @@ def _run(
         outcome = _read_outcome(workspace)
     except (OSError, ValueError):  # missing, or overwritten by the plugin
         outcome = {"status": "crashed", "message": _describe_exit(ended.code, workspace / LOG)}
+    if outcome["status"] == "crashed" and (limit := file_size_limit()) is not None:  # libraries do not name it
+        outcome["message"] = outcome["message"].rstrip(".") + (
+            f"; files are limited to {limit / 1024:,.0f} KiB (ulimit -f), which may be the cause: allow more with"
+            " ulimit -f unlimited"
+        )
     if ended.timed_out:
         outcome |= {"status": "timeout", "message": f"it exceeded the time limit of {time_limit_s:g} s"}
     reconstruction = None

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import ReconstructionError
 from pcbench.extras import installed_versions
 from pcbench.plugins.code import code_digest
 from pcbench.regular_files import open_regular, read_json
@@ -55,19 +52,6 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
         (temporary / _RECORD_FILE).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")
     temporary.replace(folder)
     return folder
-
-
-@contextmanager
-def full_disk_explained(workspace: Path) -> Iterator[None]:
-    """Raise a ReconstructionError that says what to do if the disk of a workspace is full."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise ReconstructionError(
-            f"the disk of {workspace} is full: free some space and run it again; finished steps are kept"
-        ) from error
 
 
 def library_versions() -> dict[str, str]:

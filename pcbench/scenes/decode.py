@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.extras import require
+from pcbench.io.image_header import PILLOW_ERRORS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -127,16 +126,17 @@ def find_decoding_error(path: Path) -> str | None:
             image.load()
     except MemoryError:
         return f"too large ({path.stat().st_size} bytes do not fit into memory)"
-    except (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error, zlib.error) as error:
+    except PILLOW_ERRORS as error:
         what = " ".join(str(error).replace(str(path), "").split())
         return f"{'truncated' if 'truncated' in what.lower() else 'unreadable'} ({what})"
     return None
 
 
 def resize_image(path: Path, out: Path, size: Size) -> None:
-    """Write an image at another size: lossless PNG, or JPEG at quality 97 without chroma subsampling.
+    """Write an image at another size: JPEG at quality 97 without chroma subsampling, or PNG for all other names.
 
-    EXIF data are copied, because other programs read the focal length from them; a damaged EXIF block is left out.
+    Programs recognize the format by the content. EXIF data are copied, because other programs read the focal length
+    from them; a damaged EXIF block is left out.
 
     Args:
         path: image file.
@@ -148,14 +148,14 @@ def resize_image(path: Path, out: Path, size: Size) -> None:
         MissingExtra: Pillow is not installed.
         OSError: the file cannot be written.
     """
-    lossless = out.suffix.lower() == ".png"
+    lossless = out.suffix.lower() not in (".jpg", ".jpeg")
     options: dict[str, Any] = {"compress_level": 1} if lossless else {"quality": 97, "subsampling": 0}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow warns about damaged EXIF blocks
         image = _load(path, "RGB", size)
         if exif := _resized_exif(path, size):
             options["exif"] = exif
-    image.save(out, **options)
+    image.save(out, format="PNG" if lossless else "JPEG", **options)
 
 
 def _resized_exif(path: Path, size: Size) -> bytes:
@@ -179,7 +179,7 @@ def _resized_exif(path: Path, size: Size) -> bytes:
                 if resolution in fields:
                     fields[resolution] = IFDRational(round(1000 * scale * float(fields[resolution])), 1000)
             block: bytes = exif.tobytes()
-    except (OSError, ValueError, TypeError, KeyError, SyntaxError, ArithmeticError, struct.error):
+    except PILLOW_ERRORS:
         return b""
     return block if len(block) <= _MAX_EXIF_BYTES else b""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_folders import find_model
@@ -21,7 +22,7 @@ _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # possible folders of Str
 _CALIBRATION_NAMES = re.compile(
     r"(k|.*_par|(intrinsics?|calib|calibration|cameras?|cam)([_-].*)?)\.(txt|xml|json|ya?ml|csv|npz|bin)|transforms.*\.json"
 )
-_UNSUPPORTED_EXTENSIONS = (".tif", ".tiff", ".webp", ".bmp", ".heic", ".jp2", ".dng", ".gif")
+_UNSUPPORTED_EXTENSIONS = (".bmp", ".heic", ".heif", ".jp2", ".dng", ".gif", ".avif", ".jxl")
 
 
 def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
@@ -36,25 +37,35 @@ def visible_files(folder: Path, pattern: str) -> list[Path]:
     return sorted(file for file in folder.glob(pattern) if not file.name.startswith("."))
 
 
-def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
-    """Return the folder of a scene's images, and their names in it in natural order.
+class ImageFolder(NamedTuple):
+    """Folder of a scene's images, with the names of the images in natural order and those of unsupported formats."""
+
+    folder: Path
+    names: tuple[str, ...]
+    unsupported: tuple[str, ...]
+
+
+def find_images(path: Path) -> ImageFolder:
+    """Find the images of a scene's folder.
 
     Raises:
-        InputError: there are no images, or some have an unsupported format.
+        InputError: there are no images.
     """
     # Only a folder of images is searched recursively: a scene's folder also contains masks, depth maps and results.
     folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGE_FOLDERS if (path / name).is_dir()]
     for folder, entries in [*folders, (path, list(path.iterdir()))]:
         files = [p.relative_to(folder) for p in entries if not p.is_dir()]
         visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
-        unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNSUPPORTED_EXTENSIONS)
-        if unread:
-            raise InputError(f"{folder / unread[0]}: expected JPEG or PNG images: convert it or move it elsewhere")
-        names = sorted((p.as_posix() for p in visible if p.suffix.lower() in EXTENSIONS), key=natural_key)
+        names, unsupported = (
+            sorted((p.as_posix() for p in visible if p.suffix.lower() in extensions), key=natural_key)
+            for extensions in (EXTENSIONS, _UNSUPPORTED_EXTENSIONS)
+        )
         if names:
-            return folder, tuple(names)
+            return ImageFolder(folder, tuple(names), tuple(unsupported))
+        if unsupported:
+            raise InputError(f"{folder / unsupported[0]}: expected JPEG, PNG, TIFF or WebP images: convert them")
     inner = ", ".join(f"{name}/" for name in _IMAGE_FOLDERS)
-    raise InputError(f"{path}: expected a folder with images (.jpg, .jpeg, .png), directly or in one of {inner}")
+    raise InputError(f"{path}: expected a folder with images ({', '.join(EXTENSIONS)}), directly or in one of {inner}")
 
 
 def scene_name(folder: Path) -> str:

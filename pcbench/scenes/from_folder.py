@@ -53,9 +53,10 @@ def read_scene(
     image_scale: float = 1.0,
     on_warning: Callable[[str], None] | None = None,
 ) -> Scene:
-    """Read the scene in a folder: its JPEG and PNG images, cameras, masks and positions.
+    """Read the scene in a folder: its JPEG, PNG, TIFF and WebP images, cameras, masks and positions.
 
-    Images are searched in `images/`, `train/`, `rgb/` or `footage/`, else directly in the folder.
+    Images are searched in `images/`, `train/`, `rgb/` or `footage/`, else directly in the folder. Files that look like
+    images but cannot be used are left out, and one warning names them all.
 
     Args:
         path: folder of the scene.
@@ -75,7 +76,7 @@ def read_scene(
         The scene.
 
     Raises:
-        InputError: there are no images, an image is empty or damaged, a camera's size does not match its image, its
+        InputError: there are no images, or none can be used; a camera's size does not match its image, its
             intrinsics are implausible, a pose is not a rotation, no camera matches an image, or an option is invalid.
     """
     path = Path(path)
@@ -85,8 +86,15 @@ def read_scene(
         raise InputError(f"{path}: expected a folder with images, {got}: check the path")
     if not 0 < image_scale <= 1:
         raise InputError(f"expected an image scale above 0 and at most 1, got {image_scale:g}")
-    folder, names = find_images(path)
-    headers = {name: read_image_header(folder / name) for name in names}
+    folder, all_names, unsupported = find_images(path)
+    headers, reasons = _read_headers(folder, all_names)
+    if not headers:
+        raise InputError(next(iter(reasons.values())))
+    reasons |= {name: f"{folder / name}: expected a JPEG, PNG, TIFF or WebP image: convert it" for name in unsupported}
+    if reasons:
+        listed = "; ".join(reasons.values())
+        warn(f"{folder}: files that cannot be used as images are left out ({len(reasons)}): {listed}")
+    names = tuple(headers)
     scene = Scene(
         folder,
         names,
@@ -98,7 +106,19 @@ def read_scene(
         image_scale=float(image_scale),
     )
     orientations = {name: header.orientation for name, header in headers.items()}
-    return _with_intrinsics(_with_cameras(scene, path, str(cameras), orientations, warn), path, warn)
+    return _with_intrinsics(_with_cameras(scene, all_names, path, str(cameras), orientations, warn), path, warn)
+
+
+def _read_headers(folder: Path, names: Sequence[str]) -> tuple[dict[str, ImageHeader], dict[str, str]]:
+    """Return the headers of the images that can be used, and the reasons against the others, by name."""
+    headers: dict[str, ImageHeader] = {}
+    reasons: dict[str, str] = {}
+    for name in names:
+        try:
+            headers[name] = read_image_header(folder / name)
+        except InputError as error:
+            reasons[name] = str(error)
+    return headers, reasons
 
 
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
@@ -165,9 +185,17 @@ def _masks(
 
 
 def _with_cameras(
-    scene: Scene, path: Path, choice: str, orientations: Mapping[str, int], warn: Callable[[str], None]
+    scene: Scene,
+    all_names: Sequence[str],
+    path: Path,
+    choice: str,
+    orientations: Mapping[str, int],
+    warn: Callable[[str], None],
 ) -> Scene:
-    """Add the cameras of a file or folder to a scene; return it unchanged if there are none."""
+    """Add the cameras of a file or folder to a scene; return it unchanged if there are none.
+
+    Frames of Earth Studio belong to images by order: `all_names` are those of all images, also of unreadable ones.
+    """
     if choice == "none":
         return scene
     source = find_cameras(path, warn) if choice == "auto" else named_cameras(Path(choice), warn)
@@ -179,7 +207,7 @@ def _with_cameras(
     if not source.exists():
         raise InputError(f"{source}: expected a file or folder with cameras, but it does not exist: check the path")
     find = ImageNames(scene.images)
-    camera_file = _read_cameras(source, scene, find, warn)
+    camera_file = _read_cameras(source, scene, all_names, find, warn)
     matched: dict[str, Camera] = {}
     unmatched: list[str] = []
     turned: list[str] = []
@@ -264,7 +292,9 @@ class _CameraFile(NamedTuple):
     origin: Gps | None = None
 
 
-def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _CameraFile:
+def _read_cameras(
+    source: Path, scene: Scene, all_names: Sequence[str], find: ImageNames, warn: Callable[[str], None]
+) -> _CameraFile:
     """Read the cameras of a file or folder in any supported format."""
     if source.name in CAMERA_FILES:
         return _read_model(source.parent, warn)
@@ -286,7 +316,7 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
         raise InputError(f"{source}: {PROJECT_FILE_HINT}")
     if is_earth_studio(source):
         frames, origin = read_earth_studio(source)
-        return _CameraFile(_frames_to_images(source, frames, scene.images), origin=origin)
+        return _CameraFile(_frames_to_images(source, frames, all_names), origin=origin)
     return _CameraFile(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
 
 

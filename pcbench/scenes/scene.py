@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.geometry.transform import Similarity
 from pcbench.io.contents import digest
 from pcbench.io.earth_studio import wgs84_from_sphere
+from pcbench.io.image_header import JPEG_AND_PNG
 from pcbench.scenes.decode import Size, decode_alpha, decode_image, decode_mask, opaque_pixels, resize_image
 from pcbench.scenes.folders import scene_name
 from pcbench.scenes.splits import Split, split_blocks, split_every
@@ -115,7 +117,9 @@ class Scene:
         return decode_alpha(self.folder / name, self.size(name)) if name in self.with_alpha else None
 
     def write_images(self, folder: Path) -> None:
-        """Write the images at the working size to a folder: lossless PNG, or JPEG at quality 97 with full chroma.
+        """Write the images at the working size to a folder: JPEG at quality 97 with full chroma, or lossless PNG.
+
+        TIFF and WebP images become PNG under their names. JPEG and PNG images that keep their size are copied.
 
         Raises:
             InputError: an image cannot be decoded.
@@ -124,7 +128,10 @@ class Scene:
         """
         for name in self.images:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            resize_image(self.folder / name, folder / name, self.size(name))
+            if self.size(name) == self.sizes[name] and name.lower().endswith(JPEG_AND_PNG):
+                shutil.copyfile(self.folder / name, folder / name)
+            else:
+                resize_image(self.folder / name, folder / name, self.size(name))
 
     @property
     def gps_origin(self) -> Gps | None:

@@ -21,7 +21,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import full_disk_explained, library_versions, stage
+from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
@@ -92,10 +92,6 @@ class RadianceField:
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Train a field in the workspace and return its cloud; a finished stage is not repeated."""
-        with full_disk_explained(workspace):
-            return self._reconstruct(scene, workspace)
-
-    def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         import torch
 
         if len(scene) < _MIN_IMAGES:

@@ -22,7 +22,7 @@ from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import full_disk_explained, stage
+from pcbench.plugins.stages import stage
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
@@ -128,10 +128,6 @@ class DenseMvs:
             InputError: there are too few images, or the backend cannot run.
             ReconstructionError: the images do not overlap, no depth is confirmed, or the disk is full.
         """
-        with full_disk_explained(workspace):
-            return self._reconstruct(scene, workspace)
-
-    def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         if len(scene) < self.views:
             raise InputError(f"expected at least {self.views} images (views={self.views}), got {len(scene)}")
         backend, why = choose_backend(self.backend)

@@ -12,14 +12,18 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
+from pcbench.io.image_header import JPEG_AND_PNG
+from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_luminance
 from pcbench.scenes.scene import first_names
+from pcbench.systems import cpu_count
 from reconstructors.sfm.contrast import stretch_contrast
 
 DATABASE = "database.db"  # file name in each stage's folder
 _STRETCHED = "stretched.json"  # in the features' stage: names of the images whose contrast was stretched
+_BATCH_PER_CPU = 4  # images between two reports of progress
 MIN_FEATURES = 50  # per image: with fewer, hardly any pair has enough matches after ratio test and RANSAC
 
 
@@ -64,17 +68,21 @@ def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsamp
         extraction.sift.first_octave = -1 if upsample else 0
         stretched = folder / "stretched"
         faint = _write_stretched(scene, stretched)
+        extracted = 0
         sufficient = [name for name in scene.images if name not in faint]
         for source, chosen in ((images, sufficient), (stretched, faint)):
-            if chosen:
+            size = _BATCH_PER_CPU * cpu_count()
+            for part in (chosen[start : start + size] for start in range(0, len(chosen), size)):
                 pycolmap.extract_features(
                     database,
                     source,
-                    image_names=chosen,
+                    image_names=part,
                     reader_options=reader,
                     extraction_options=extraction,
                     device=pycolmap.Device.cpu,
                 )
+                extracted += len(part)
+                progress(f"finding features: {extracted} of {len(scene)} images")
         shutil.rmtree(stretched, ignore_errors=True)
         (folder / _STRETCHED).write_text(json.dumps(faint), encoding="utf-8")
 
@@ -101,8 +109,8 @@ def shared_intrinsics(scene: Scene) -> list[LensGroup]:
 
 
 def working_images(scene: Scene, workspace: Path) -> Path:
-    """Return the folder of the images at the working size: the originals, or a stage with smaller ones."""
-    if scene.image_scale == 1:
+    """Return the folder of the images for COLMAP: the originals, or a stage with smaller or converted ones."""
+    if scene.image_scale == 1 and all(name.lower().endswith(JPEG_AND_PNG) for name in scene.images):
         return scene.folder
     inputs = {"scene": scene.fingerprint(cameras=False), "exif": True}
     return stage(workspace, "images", inputs, lambda folder: scene.write_images(folder))

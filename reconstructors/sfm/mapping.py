@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pcbench.errors import ReconstructionError
+from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
-from pcbench.scenes.scene import first_names
 from reconstructors.sfm.features import DATABASE, working_images
 from reconstructors.sfm.model import Refine, check_written
 
@@ -35,10 +35,27 @@ def map_images(
     def make(folder: Path) -> None:
         images = working_images(scene, workspace)
         if mapper == "incremental":
-            pycolmap.incremental_mapping(
-                verified / DATABASE, images, folder, _incremental_options(refine, seed, len(scene))
-            )
+            options = _incremental_options(refine, seed, len(scene))
+            registered = 0
+
+            def start() -> None:
+                nonlocal registered
+                registered = 2
+
+            def count() -> None:
+                nonlocal registered
+                registered += 1
+                progress(f"solving cameras: {registered} of {len(scene)} images")
+
+            reports = {"initial_image_pair_callback": start, "next_image_callback": count}
+            models = pycolmap.incremental_mapping(verified / DATABASE, images, folder, options, **reports)
+            if all(model.num_reg_images() <= 2 for model in models.values()) and len(scene) > 2:
+                _accept_little_parallax(options)
+                for model in folder.iterdir():
+                    shutil.rmtree(model)
+                pycolmap.incremental_mapping(verified / DATABASE, images, folder, options, **reports)
         else:
+            progress("solving all cameras at once")
             # The global mapper changes two-view geometries in the database: use a copy.
             database = folder / DATABASE
             shutil.copyfile(verified / DATABASE, database)
@@ -74,11 +91,16 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
     names = {image.name for image in largest.images.values() if image.has_pose}
     notes = []
     unregistered = [name for name in scene.images if name not in names]
-    if unregistered and len(models) > 1:  # other components may have the same images
-        sizes = ", ".join(str(model.num_reg_images()) for model in models)
-        notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
+    for model in models:
+        names_apart = sorted({image.name for image in model.images.values() if image.has_pose}.difference(names))
+        if model is not largest and names_apart:  # other components may have the same images
+            notes.append(
+                f"warning: {model.num_reg_images()} images form a separate model, which is left out:"
+                f" {', '.join(names_apart)}; add images that connect the two"
+            )
     if unregistered:
-        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {first_names(unregistered)}")
+        share = f"{len(unregistered)} of {len(scene)} images"
+        notes.append(f"warning: {share} are not registered and left out: {', '.join(unregistered)}")
     return largest, notes
 
 
@@ -118,12 +140,23 @@ def _incremental_options(refine: Refine, seed: int, images: int) -> Any:
     return options
 
 
+def _accept_little_parallax(options: Any) -> None:
+    """Let a model start from two images with little parallax, as in a forward walk.
+
+    COLMAP relaxes the angle and the number of matches itself (16 to 4 degrees, 100 to 25), but never starts from two
+    images of which one lies ahead of the other.
+    """
+    options.mapper.init_max_forward_motion = 1.0  # cosine of the angle between the motion and the optical axis
+    options.mapper.init_min_tri_angle = 4.0  # degrees
+
+
 def _global_options(refine: Refine, seed: int) -> Any:
     import pycolmap
 
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
     options.mapper.bundle_adjustment.ceres.solver_options.num_threads = 1
+    options.mapper.bundle_adjustment.ceres.use_gpu = options.mapper.global_positioning.use_gpu = False
     for part in (options, options.mapper, options.mapper.rotation_averaging, options.mapper.global_positioning,
                  options.mapper.retriangulation):  # fmt: skip
         part.random_seed = seed

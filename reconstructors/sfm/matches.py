@@ -13,6 +13,7 @@ import numpy as np
 
 from pcbench.children import run_module
 from pcbench.errors import ReconstructionError
+from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.systems import cpu_count
@@ -43,6 +44,7 @@ def match_pairs(features: Path, pairs: Sequence[tuple[str, str]], workspace: Pat
         id_pairs = [(image_ids[a], image_ids[b]) for a, b in pairs]
         processes = max(1, min(cpu_count(), _MAX_PROCESSES, len(pairs) // _MIN_PAIRS_PER_PROCESS))
         # Neighbouring pairs share an image: a process that gets them builds fewer indices.
+        progress(f"matching {len(pairs):,} pairs of images")
         bounds = [len(pairs) * k // processes for k in range(processes + 1)]
         _match_in_processes(folder, [id_pairs[start:end] for start, end in pairwise(bounds)])
         _rename_images(folder / DATABASE, names)
@@ -95,6 +97,7 @@ def verify_matches(matches: Path, scene: Scene, workspace: Path, seed: int) -> P
         _set_intrinsics(folder / DATABASE, groups)
         options = pycolmap.TwoViewGeometryOptions()
         options.ransac.random_seed = seed
+        progress("verifying matches")
         pycolmap.geometric_verification(folder / DATABASE, two_view_geometry_options=options)
 
     lenses = repr([tuple(group) for group in groups])

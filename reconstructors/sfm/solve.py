@@ -6,7 +6,6 @@ Few images are solved by both mappers. If structure repeats, cameras are solved 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -75,7 +74,7 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
         seed: Random seed.
 
     Raises:
-        ReconstructionError: No two images could start a model.
+        ReconstructionError: No two images could start a model in either method.
     """
 
     def solve_with(method: Mapper, matches: Path, description: str = "", name: str = "") -> SolvedModel:
@@ -85,17 +84,23 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
             f"{method} mapping{description}", model, cameras, epipolar_agreement(verified / DATABASE, cameras), notes
         )
 
-    requested = solve_with(mapper, verified)
-    solutions = [requested]
+    solutions = list[SolvedModel]()
+    failures = list[Exception]()
 
     def try_solving(method: Mapper, matches: Path, description: str = "", name: str = "") -> None:
-        # An alternative solution may fail, or COLMAP may give up: it only serves as a check.
-        with suppress(ReconstructionError, RuntimeError, ValueError):
+        # A mapper may find no start, or COLMAP may give up: another solution may still do.
+        try:
             solutions.append(solve_with(method, matches, description, name))
+        except (ReconstructionError, RuntimeError, ValueError) as error:
+            failures.append(error)
 
+    try_solving(mapper, verified)
+    requested = solutions[0] if solutions else None
     is_cheap = len(scene) <= _MAX_IMAGES_BOTH_MAPPERS
-    if is_cheap:
+    if is_cheap or requested is None:
         try_solving("global" if mapper == "incremental" else "incremental", verified)
+    if not solutions:
+        raise failures[0]
     best = best_solution(solutions)
     if not best.is_sound:
         pairs = [(pair.a, pair.b) for pair in best.agreement.contradicting_pairs]
@@ -108,7 +113,9 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
         )
     best = best_solution(solutions)
     notes = [*best.notes]
-    if best is not requested:
+    if requested is None:
+        notes.append(f"{mapper} mapping fails ({failures[0]}); kept: {best.describe()}")
+    elif best is not requested:
         notes.append(f"{requested.describe()}; kept: {best.describe()}")
     if best.is_sound:
         for other in solutions:

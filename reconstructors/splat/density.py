@@ -108,9 +108,12 @@ class Density(Generic[TrainingT]):
 class Classic(Density[Densifiable]):
     """The strategy of Kerbl et al. 2023: clone small Gaussians with a large screen gradient, split large ones.
 
+    Their code also means to prune Gaussians that are large in an image, but resets these sizes before the test, so that
+    it prunes none, as the authors confirmed. Neither does this strategy.
+
     Args:
-        refine_start: first step of densification.
-        refine_stop_share: share of the steps after which it stops.
+        refine_start: step after which densification starts.
+        refine_stop_share: share of the steps at which densification and opacity resets stop.
         refine_interval: steps between two densifications.
         grow_gradient: Gaussians with a larger mean gradient with respect to the projected mean are cloned or split; in
             image coordinates from -1 to 1.
@@ -143,9 +146,9 @@ class Classic(Density[Densifiable]):
         import torch
 
         step = training.step
-        if step > self.refine_stop_share * training.steps:
+        if self.is_settled(training):
             return
-        if step >= self.refine_start and step % self.refine_interval == 0:
+        if step > self.refine_start and step % self.refine_interval == 0:
             self._densify(training)
             model = training.model
             kept = model.opacities >= self.prune_opacity
@@ -160,7 +163,7 @@ class Classic(Density[Densifiable]):
 
     def is_settled(self, training: Densifiable) -> bool:
         """Return whether densification has stopped."""
-        return training.step > self.refine_stop_share * training.steps
+        return training.step >= self.refine_stop_share * training.steps
 
     def _densify(self, training: Densifiable) -> None:
         model, sums = training.model, training.screen_gradients
@@ -177,10 +180,6 @@ class Classic(Density[Densifiable]):
             kept = ~splits.new_zeros(len(training.model))
             kept[: len(splits)] = ~splits
             training.keep(kept)
-
-
-# The values of Gao et al.; those that they do not give are as in Kerbl et al.
-GAO2025 = Classic(refine_start=1000)
 
 
 def split(model: Gaussians, shrink: float, rng: np.random.Generator) -> Gaussians:

@@ -61,13 +61,13 @@ class Photograph(NamedTuple):
 Pyramid = list[Photograph]  # the sizes of one photograph: the full size first, each next one half as wide
 
 
-def check_training(image_side: int, memory_gb: float, seed: int) -> None:
+def check_training(image_side: int | None, memory_gb: float, seed: int) -> None:
     """Check the settings that reconstructors trained on photographs have in common.
 
     Raises:
         ValueError: a setting is out of its range.
     """
-    if image_side < 16:
+    if image_side is not None and image_side < 16:
         raise ValueError(f"expected photographs of at least 16 pixels, got image_side={image_side}")
     if not (np.isfinite(memory_gb) and memory_gb > 0):
         raise ValueError(f"expected memory in gigabytes, got {memory_gb}")

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import full_disk_explained, library_versions, stage, stage_key
+from pcbench.plugins.stages import library_versions, stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
@@ -35,11 +35,10 @@ from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
 from reconstructors.splat.blocks import TrainedBlock, TrainingBlock, merge_clouds, merge_models, plan_blocks
 from reconstructors.splat.combine import combine
-from reconstructors.splat.density import GAO2025, Classic, Density
+from reconstructors.splat.density import Density
 from reconstructors.splat.devices import choose_device
 from reconstructors.splat.exposure import Exposure, read_gains, write_gains
 from reconstructors.splat.model import Gaussians, LocalFrame
-from reconstructors.splat.optimizer import GAO2025_LEARNING_RATES, LearningRates
 from reconstructors.splat.parsimony import (
     CRITERIA,
     CriterionName,
@@ -58,9 +57,10 @@ from reconstructors.splat.photographs import (
     training_pinhole,
 )
 from reconstructors.splat.ply import write_model
+from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import Supervision, read_supervision
-from reconstructors.splat.train import Schedule, Training, evaluate, render
+from reconstructors.splat.train import Training, evaluate, render
 
 if TYPE_CHECKING:
     import torch
@@ -151,20 +151,21 @@ class GaussianSplatting:
     supervision: `mvs` adds the difference from the depth maps of `mvs` to the loss, if start=mvs; `none` does not.
     density: `parsimonious` halves the number of Gaussians, starting at `gaussians`, then lowers the degree of the
     spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
-    the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et
-    al.
+    the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023; `gao2025` trains as Gao et al.
     select: what `parsimonious` compares: `views`, the held-out photographs, or `surface`, their depths in `mvs`, for
     which fewer Gaussians are enough.
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
     all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
-    steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
+    steps: number of training steps; 3,000, or 50,000 for gao2025. gaussians: maximum number; 50,000, or 2,000,000.
+    sh_degree: degree of the spherical harmonics, 0 to 3; 2, or 3.
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
     transparent where they are.
     exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
-    image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
-    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`.
+    image_side: maximum length of the photographs' longer side, in pixels; 640, or a quarter of its length.
+    hold_out: images not used for training: `every` 8th, or 8 `blocks`; the workspace then has renderings of all images
+    for `pcbench views`.
     memory: gigabytes that training may use. A scene that needs more is trained in blocks, one after the other, each for
     `steps` steps on the photographs that show it; the blocks share the `gaussians`.
     device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
@@ -174,16 +175,16 @@ class GaussianSplatting:
     poses: Literal["auto", "given", "solve"] = "auto"
     start: Literal["mvs", "sfm", "random"] = "mvs"
     supervision: Literal["mvs", "none"] = "mvs"
-    density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
+    density: DensityName = "parsimonious"
     select: CriterionName = "views"
     cloud: Literal["combined", "surface", "means"] = "combined"
     min_opacity: float = 0.0
-    steps: int = 3000
-    gaussians: int = 50_000
-    sh_degree: int = 2
+    steps: int | None = None
+    gaussians: int | None = None
+    sh_degree: int | None = None
     background: BackgroundChoice = "auto"
     exposure: bool = False
-    image_side: int = 640
+    image_side: int | None = None
     hold_out: HoldOut = "none"
     memory: float = 4.0
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -199,12 +200,13 @@ class GaussianSplatting:
                 "select=surface compares models by the depths of mvs: set density=parsimonious and start=mvs too, got"
                 f" density={self.density} and start={self.start}"
             )
-        if self.steps < 1:
-            raise ValueError(f"expected at least one step, got {self.steps}")
-        if self.gaussians < 2:
-            raise ValueError(f"expected at least 2 Gaussians, got {self.gaussians}")
-        if not 0 <= self.sh_degree <= 3:
-            raise ValueError(f"expected spherical harmonics of degree 0 to 3, got {self.sh_degree}")
+        recipe = self._recipe
+        if recipe.steps < 1:
+            raise ValueError(f"expected at least one step, got {recipe.steps}")
+        if recipe.gaussians < 2:
+            raise ValueError(f"expected at least 2 Gaussians, got {recipe.gaussians}")
+        if not 0 <= recipe.sh_degree <= 3:
+            raise ValueError(f"expected spherical harmonics of degree 0 to 3, got {recipe.sh_degree}")
         check_training(self.image_side, self.memory, self.seed)
 
     @classmethod
@@ -217,8 +219,7 @@ class GaussianSplatting:
         import torch
 
         try:
-            with full_disk_explained(workspace):
-                return self._reconstruct(scene, workspace)
+            return self._reconstruct(scene, workspace)
         except torch.cuda.OutOfMemoryError as error:
             raise ReconstructionError(
                 "the CUDA device ran out of memory: set fewer gaussians, a smaller image_side, or device=cpu"
@@ -232,7 +233,7 @@ class GaussianSplatting:
         initial = self._initial_reconstruction(scene, workspace)
         cameras = initial.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
-        pinholes = {name: training_pinhole(camera, self.image_side) for name, camera in cameras.items()}
+        pinholes = {name: training_pinhole(camera, self._recipe.side(camera)) for name, camera in cameras.items()}
         blocks = self._plan_blocks(initial.cloud, pinholes)
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
@@ -254,7 +255,7 @@ class GaussianSplatting:
         model = load_model(model_folder / PARAMETERS, device)
         notes += self._density_notes(model_folder, len(initial.cloud), in_blocks=bool(blocks))
         last_step = int((model_folder / FINAL_STEP).read_text(encoding="utf-8"))
-        early = f" of {self.steps:,}: training converged" if last_step < self.steps else ""
+        early = f" of {self._recipe.steps:,}: training converged" if last_step < self._recipe.steps else ""
         notes.append(
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
@@ -297,19 +298,18 @@ class GaussianSplatting:
             self.supervision,
             self.density,
             self.select,
-            self.steps,
-            self.gaussians,
-            self.sh_degree,
+            repr(self._recipe),
             self.background,
             self.exposure,
-            self.image_side,
             self.seed,
         )
 
     @property
-    def _densification(self) -> Classic | None:
-        """The densification strategy of the density setting; None if it does not densify."""
-        return {"classic": Classic(), "gao2025": GAO2025}.get(self.density)
+    def _recipe(self) -> Recipe:
+        """The recipe of the density setting with what is set otherwise."""
+        names = ("steps", "gaussians", "sh_degree", "image_side")
+        changed: dict[str, Any] = {name: value for name in names if (value := getattr(self, name)) is not None}
+        return replace(RECIPES[self.density], **changed)
 
     @property
     def _uses_depths(self) -> bool:
@@ -338,11 +338,11 @@ class GaussianSplatting:
         Raises:
             InputError: the smallest blocks need too much memory.
         """
-        if self._needed_gigabytes(self.gaussians, pinholes.values()) <= self.memory:
+        if self._needed_gigabytes(self._recipe.gaussians, pinholes.values()) <= self.memory:
             return []
 
         def needed(share: float, names: Sequence[str]) -> float:
-            return self._needed_gigabytes(share * self.gaussians, [pinholes[name] for name in names])
+            return self._needed_gigabytes(share * self._recipe.gaussians, [pinholes[name] for name in names])
 
         blocks = plan_blocks(
             cloud.points, pinholes, lambda *size: needed(*size) <= _PLANNED_SHARE * self.memory, self.seed
@@ -351,9 +351,9 @@ class GaussianSplatting:
         if (least := needed(largest.share, largest.images)) > self.memory:
             longest = max(max(c.intrinsics.width, c.intrinsics.height) for c in pinholes.values())
             raise InputError(
-                f"{largest.share * self.gaussians:,.0f} Gaussians and {len(largest.images)} photographs of {longest}"
-                f" pixels need about {least:.2g} GB, more than memory={self.memory:g} allows, and cannot be split into"
-                " smaller blocks: set fewer gaussians, a smaller image_side, or more memory"
+                f"{largest.share * self._recipe.gaussians:,.0f} Gaussians and {len(largest.images)} photographs of"
+                f" {longest} pixels need about {least:.2g} GB, more than memory={self.memory:g} allows, and cannot be"
+                " split into smaller blocks: set fewer gaussians, a smaller image_side, or more memory"
             )
         return blocks
 
@@ -383,7 +383,7 @@ class GaussianSplatting:
                 continue
             part = whole.select(block)
             progress(f"block {number} of {len(blocks)}: {len(part.split.train)} photographs")
-            own = replace(self, gaussians=max(2, round(block.share * self.gaussians)))
+            own = replace(self, gaussians=max(2, round(block.share * self._recipe.gaussians)))
             trained.append(_TrainedPart(part, block, own._model_stage(part, workspace, root, f"{number:04d}")))
         for folder in set(root.iterdir()).difference(folder for _, _, folder in trained):  # of an earlier run
             shutil.rmtree(folder)
@@ -454,8 +454,8 @@ class GaussianSplatting:
         """Return the densification strategy and the photographs that training starts with."""
         usable = select_usable(photographs.values(), split.train)
         names = [pyramid[0].name for pyramid in usable]
-        if self._densification is not None:
-            return replace(self._densification, max_gaussians=self.gaussians), usable
+        if (rules := self._recipe.densification) is not None:
+            return replace(rules, max_gaussians=self._recipe.gaussians), usable
         score: Score = score_views
         candidates = names
         if self.select == "surface":
@@ -471,7 +471,7 @@ class GaussianSplatting:
 
     def _train(self, folder: Path, part: _Part, workspace: Path, key: str) -> None:
         progress("creating the initial Gaussians")
-        initial, split, frame = part.initial, part.split, part.frame
+        initial, split, frame, recipe = part.initial, part.split, part.frame, self._recipe
         photographs = read_photographs(part.folders, part.pinholes, frame, _PYRAMID_LEVELS, part.device)
         pyramids = {pyramid[0].name: pyramid for pyramid in photographs}
         depths = None
@@ -481,16 +481,11 @@ class GaussianSplatting:
             )
         density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids, depths)
         background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
-        model = initial_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
+        model = initial_model(initial.cloud, frame, self._recipe.gaussians, self.seed, random=self.start == "random")
         training = Training(
             model.to(part.device),
             training_photographs,
-            Schedule(
-                steps=self.steps,
-                sh_degree=self.sh_degree,
-                seed=self.seed,
-                rates=GAO2025_LEARNING_RATES if self.density == "gao2025" else LearningRates(),
-            ),
+            replace(recipe.schedule, steps=recipe.steps, sh_degree=recipe.sh_degree, seed=self.seed),
             density,
             None if self.supervision == "none" else depths,
             background,
@@ -535,7 +530,8 @@ class GaussianSplatting:
                 f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
                 f" images{condition}"
             )
-        if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
+        steps, rules = self._recipe.steps, self._recipe.densification
+        if rules is not None and rules.refine_start >= rules.refine_stop_share * steps:
             yield (
                 f"no Gaussian was added: density={self.density} starts at step {rules.refine_start:,} and stops after"
                 f" {rules.refine_stop_share:.0%} of the steps; set more steps"
@@ -544,12 +540,12 @@ class GaussianSplatting:
 
     def _few_points_note(self, points: int) -> Iterator[str]:
         """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""
-        if self.start == "random" or self._densification or points >= _MIN_START_SHARE * self.gaussians:
+        if self.start == "random" or self._recipe.densification or points >= _MIN_START_SHARE * self._recipe.gaussians:
             return
         remedy = "density=classic" if self.start == "mvs" else "density=classic, which adds them, or start=mvs"
         yield (
             f"few Gaussians: training starts at the {points:,} points of start={self.start}, and density={self.density}"
-            f" adds none up to gaussians={self.gaussians:,}; set {remedy}"
+            f" adds none up to gaussians={self._recipe.gaussians:,}; set {remedy}"
         )
 
     def _background_notes(self, photographs: Mapping[str, Path], color: NDArray[np.float32]) -> Iterator[str]:

@@ -39,26 +39,28 @@ class Schedule:
 
     Args:
         steps: number of steps; each uses one photograph, in an order shuffled anew for each round.
-        sh_degree: final degree of the spherical harmonics; it is 0 for three tenths of the steps, and grows by one at
-            each tenth from there on.
+        sh_degree: final degree of the spherical harmonics.
+        degree_interval: steps after which the degree grows by one from 0; None: it is 0 for three tenths of the steps,
+            and grows by one at each tenth from there on.
         ssim_weight: weight of 1 - SSIM in the loss; the rest is the weight of the absolute difference.
         downscale_shares: shares of the steps up to which the photographs are a quarter and half as wide.
         min_alpha: minimum alpha at a pixel up to `exact_share` of the steps: lower ones are skipped, which is faster.
         exact_share: share of the steps from which all alphas count that count in a rendering.
         seed: seed of all random numbers.
         plateau: dB; training converges if the mean PSNR of the photographs has gained less than this over one tenth or
-            two tenths of the steps, once the number of Gaussians is final.
+            two tenths of the steps, once the number of Gaussians is final; None: all steps are done.
         rates: learning rates.
     """
 
     steps: int = 3000
     sh_degree: int = 3
+    degree_interval: int | None = None
     ssim_weight: float = 0.2
     downscale_shares: tuple[float, float] = (0.15, 0.4)
     min_alpha: float = 1 / 128
     exact_share: float = 0.8
     seed: int = 0
-    plateau: float = 0.01
+    plateau: float | None = 0.01
     rates: LearningRates = field(default_factory=LearningRates)
 
     def level(self, step: int) -> int:
@@ -68,7 +70,8 @@ class Schedule:
 
     def degree(self, step: int) -> int:
         """Return the degree of the spherical harmonics at a step."""
-        return min(self.sh_degree, max(0, 10 * step // self.steps - 2))
+        grown = max(0, 10 * step // self.steps - 2) if self.degree_interval is None else step // self.degree_interval
+        return min(self.sh_degree, grown)
 
     def rendered(self, view: View, step: int) -> View:
         """Return a view with the minimum alpha of a step."""
@@ -174,14 +177,14 @@ class Training:
             )
 
     def _check_convergence(self) -> None:
-        count, steps = len(self.photographs), self.schedule.steps
-        if self.step % max(count, steps // 10) or not self.density.is_settled(self):
+        count, steps, plateau = len(self.photographs), self.schedule.steps, self.schedule.plateau
+        if plateau is None or self.step % max(count, steps // 10) or not self.density.is_settled(self):
             return
         full_size = self.step >= count and self.schedule.level(self.step - count) == 0  # for the whole last round
         if full_size:
             self._mean_psnr.append(sum(map(float, self.psnr)) / count)
         earlier = self._mean_psnr[-3:-1]
-        self.converged = len(earlier) == 2 and self._mean_psnr[-1] - min(earlier) < self.schedule.plateau
+        self.converged = len(earlier) == 2 and self._mean_psnr[-1] - min(earlier) < plateau
 
     def rng(self) -> np.random.Generator:
         """Return the generator of this step: a resumed run gets the same random numbers as an uninterrupted one."""

@@ -20,13 +20,14 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.image_header import read_image_header
 from pcbench.plugins import Reconstruction, find_plugin
+from pcbench.plugins import run as runs
 from pcbench.plugins.run import ReconstructionJob, read_reconstruction, run
 from pcbench.registration import SurveyResiduals
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
 IMPORTS = """
-import os, sys, time, signal
+import errno, os, sys, time, signal
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -124,6 +125,8 @@ def test_blas_uses_one_thread_unless_the_user_sets_it(scene, plugin, tmp_path, m
         ("print('last words'); os.kill(os.getpid(), signal.SIGKILL)", "crashed"),
         ("sys.exit(0)", "crashed"),
         ("np.zeros((10**7, 10**7))", "crashed"),
+        ("raise OSError(errno.ENOSPC, 'No space left on device')", "crashed"),
+        ("raise OSError(errno.EFBIG, 'File too large')", "crashed"),
         ("return None", "garbage"),
         ("return scene.points", "garbage"),
         ("return Reconstruction(np.zeros((5, 3)), 'metric')", "failed"),
@@ -139,7 +142,8 @@ def test_blas_uses_one_thread_unless_the_user_sets_it(scene, plugin, tmp_path, m
         ),
     ],
     ids=[
-        *("error", "control character", "crash", "abort", "unnamed signal", "kill", "exit", "memory", "nothing"),
+        *("error", "control character", "crash", "abort", "unnamed signal", "kill", "exit", "memory"),
+        *("full disk", "large file", "nothing"),
         *("a cloud", "an array", "no numbers", "gauge", "camera", "name of a camera"),
     ],
 )
@@ -151,6 +155,13 @@ def test_failures_are_reported_as_results(scene, plugin, tmp_path, body, status)
         result.require_reconstruction()
     assert f"{status}: {result.message}" in str(caught.value)
     assert "log.txt" in str(caught.value)
+
+
+def test_a_crash_names_the_limit_of_files(scene, plugin, tmp_path, monkeypatch):
+    """Libraries give other reasons: that of SQLite is that no database factory succeeded."""
+    monkeypatch.setattr(runs, "file_size_limit", lambda: 51_200)
+    body = "raise RuntimeError('No registered database factory')"
+    assert "50 KiB" in check_text(run(ReconstructionJob(plugin(body), scene), tmp_path / "work").message)
 
 
 def test_hanging_plugin_is_ended_with_its_children(scene, plugin, tmp_path):

@@ -161,8 +161,10 @@ def test_image_headers(tmp_path):
     exif = Image.Exif()
     exif[0x8825] = {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\x01", 6: 12.5}
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.jpg", exif=exif)
-    header = read_image_header(tmp_path / "gps.jpg")
-    assert header.gps == pytest.approx((-33.51, 151.0, -12.5))
+    Image.new("RGB", (5, 4)).save(tmp_path / "gps.webp", exif=exif)
+    Image.new("RGB", (5, 4)).save(tmp_path / "gps.tif", exif=exif.tobytes())
+    for name in ("gps.jpg", "gps.webp", "gps.tif"):
+        assert read_image_header(tmp_path / name).gps == pytest.approx((-33.51, 151.0, -12.5))
     data = (tmp_path / "a.jpg").read_bytes()
     for length in range(1, 200, 7):  # truncation never hangs and is reported
         (tmp_path / "cut.jpg").write_bytes(data[:length])
@@ -220,14 +222,54 @@ def test_invalid_scenes_are_refused(photographs, tmp_path):
     check_refusal()
     shutil.rmtree(photographs / "sparse")
 
-    (photographs / "images/a.png").write_bytes(b"")
-    check_refusal()
-    (photographs / "images/a.png").write_bytes(b"text, not pixels")
-    check_refusal()
-    (photographs / "images/a.png").rename(photographs / "images/a.tif")
+    for file in (photographs / "images").iterdir():
+        file.write_bytes(b"")
     check_refusal()
     shutil.rmtree(photographs / "images")
     check_refusal()
+    picture(photographs / "images/a.png")
+    (photographs / "images/a.png").rename(photographs / "images/a.bmp")
+    check_refusal()
+
+
+def test_files_that_cannot_be_used_are_left_out(photographs):
+    images = photographs / "images"
+    (images / "b.png").write_bytes(b"")
+    (images / "c.jpg").write_bytes(b"text, not pixels")
+    (images / "d.jpg").symlink_to("nowhere.jpg")
+    (images / "e.heic").write_bytes(b"text")
+    pages = [Image.new("L", (64, 48), value) for value in (1, 2)]
+    pages[0].save(images / "f.tif", save_all=True, append_images=pages[1:])
+    Image.fromarray(np.zeros((48, 64), np.float32)).save(images / "g.tif")
+    (images / "h.webp").write_bytes(b"RIFF\x10\0\0\0WEBPVP8 ")
+    notes = []
+    scene = read_scene(photographs, on_warning=notes.append)
+    assert list(scene.images) == NAMES
+    assert len(notes) == 1
+    assert "(7)" in notes[0]
+    check_text(
+        notes[0].partition("; " + str(images / "h.webp"))[0].replace(str(images), "images")
+    )  # then Pillow's words
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+@pytest.mark.parametrize("kind", ["L", "RGB"])
+def test_tiff_and_webp_images_are_read(tmp_path, kind, depth):
+    """Pillow cannot write colours of 16 bits, so that tifffile writes all."""
+    tifffile = pytest.importorskip("tifffile")
+    rng = np.random.default_rng(depth)
+    pixels = rng.integers(0, 256, (17, 33) if kind == "L" else (17, 33, 3), dtype=np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", pixels if depth == 8 else pixels.astype(np.uint16) * 257)
+    Image.fromarray(pixels).save(tmp_path / "b.webp", lossless=True)
+    scene = read_scene(tmp_path)
+    assert scene.sizes == {"a.tif": (33, 17), "b.webp": (33, 17)}
+    expected = np.broadcast_to(pixels.reshape(17, 33, -1), (17, 33, 3))
+    scene.write_images(tmp_path / "copies")
+    for name in scene.images:
+        np.testing.assert_array_equal(scene.read_image(name), expected)
+        with Image.open(tmp_path / "copies" / name) as copy:
+            assert copy.format == "PNG"
+            np.testing.assert_array_equal(copy.convert("RGB"), expected)
 
 
 def test_undecodable_pixels_are_reported_on_reading(photographs):

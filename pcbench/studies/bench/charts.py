@@ -13,7 +13,7 @@ from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
-from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations
+from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations, fscore_column
 from pcbench.studies.bench.plan import IMAGE_SCALE
 from pcbench.studies.bench.results import KIND, Bench, BenchRow
 from pcbench.studies.frame.canvas import blank_figure, open_frame, plain_log_ticks
@@ -59,8 +59,15 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 
 def draw_speed(study: Bench, path: Path) -> bool:
-    """Draw F-score and Chamfer distance against wall time; false if there is nothing to draw."""
-    return _draw(study, path, _SPEED_QUANTITIES)
+    """Draw F-score (over what the cameras saw, if known) and Chamfer distance against wall time.
+
+    Returns:
+        False if there is nothing to draw.
+    """
+    fscore, *others = _SPEED_QUANTITIES
+    if fscore_column(study.rows) == "fscore_visible":
+        fscore = _Quantity("fscore_visible", "F-score over what the cameras saw", "F of seen at {threshold}", True)
+    return _draw(study, path, [fscore, *others])
 
 
 def draw_accuracy_completeness(study: Bench, path: Path) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Paragraph
 from pcbench.report.words import join_words
-from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations
+from pcbench.studies.bench.pareto import Configuration, configurations, front_configurations, fscore_column
 from pcbench.studies.bench.results import Bench
 from pcbench.studies.bench.table import LABELS, bench_table, legend, threshold_table, threshold_text, warnings
 from pcbench.studies.frame.pages import drawn_pictures
@@ -41,22 +41,23 @@ def article(study: Bench, figures: Sequence[str] = ()) -> Article:
 def _answer(study: Bench) -> Iterator[str]:
     """Yield the configuration with the highest F-score, and the faster ones on the Pareto front."""
     groups = configurations(study.rows)
-    front = front_configurations(groups, "fscore", higher_is_better=True)
+    column = fscore_column(study.rows)
+    front = front_configurations(groups, column, higher_is_better=True)
     if not front:
         yield "No configuration was measured with all seeds." if study.scores else "No run could be measured."
         return
     *faster, best = front
     alone = sum(group.is_reliable for group in groups) == 1
     article_word = "an" if alone else "the highest"
-    clause = f" at {threshold_text(study)}"
-    yield f"{best.name} has {article_word} F-score of {_score(best)}{clause}, in {_seconds(best)}."
+    clause = f" at {threshold_text(study)}{' over what the cameras saw' if column == 'fscore_visible' else ''}"
+    yield f"{best.name} has {article_word} F-score of {_score(best, column)}{clause}, in {_seconds(best)}."
     if faster:
-        others = [f"{c.name} ({_score(c)} in {_seconds(c)})" for c in faster]
+        others = [f"{c.name} ({_score(c, column)} in {_seconds(c)})" for c in faster]
         yield f"Faster, with the best F-score for their time: {join_words(others)}."
 
 
-def _score(c: Configuration) -> str:
-    return f"{c.median('fscore') or 0.0:.4g}"
+def _score(c: Configuration, column: str) -> str:
+    return f"{c.median(column) or 0.0:.4g}"
 
 
 def _seconds(c: Configuration) -> str:

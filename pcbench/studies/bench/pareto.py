@@ -83,8 +83,18 @@ def front_configurations(
     return sorted(on_front, key=lambda c: c.median("wall_s") or 0.0)
 
 
+def fscore_column(rows: Iterable[BenchRow]) -> str:
+    """Return the column of the F-score by which configurations are compared.
+
+    It is `fscore_visible`, over what the cameras saw, if that is known: otherwise invented surface where no camera
+    looked would count as recall.
+    """
+    scores = [row.score for row in rows if row.score is not None]
+    return "fscore_visible" if scores and all(s.fscore_visible is not None for s in scores) else "fscore"
+
+
 def with_front(rows: Sequence[BenchRow]) -> tuple[BenchRow, ...]:
     """Return the rows with `pareto`: whether their configuration is on the front of wall time and F-score."""
-    front = front_configurations(configurations(rows), "fscore", higher_is_better=True)
+    front = front_configurations(configurations(rows), fscore_column(rows), higher_is_better=True)
     best = {id(row) for configuration in front for row in configuration.rows}
     return tuple(replace(row, pareto=None if row.score is None else id(row) in best) for row in rows)

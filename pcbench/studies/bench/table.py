@@ -9,7 +9,7 @@ from typing import NamedTuple
 from pcbench.report.article import Mark, TableCell
 from pcbench.report.terminal import print_table
 from pcbench.report.words import UNKNOWN
-from pcbench.studies.bench.pareto import Configuration, configurations
+from pcbench.studies.bench.pareto import Configuration, configurations, fscore_column
 from pcbench.studies.bench.results import Bench, choice_text
 from pcbench.studies.frame.tables import MIB, cell
 
@@ -29,6 +29,7 @@ _COLUMNS = (
     _Column("wall s", "wall_s", -1),
     _Column("CPU s", "cpu_s", -1),
     _Column("F-score", "fscore", 1),
+    _Column("F of seen", "fscore_visible", 1),
     _Column("MiB", "peak_rss_bytes", -1, MIB),
     _Column("GPU MiB", "gpu_bytes", -1, MIB, in_terminal=False),
     _Column("points", "points", 0),
@@ -148,14 +149,15 @@ def legend(study: Bench) -> Iterator[str]:
     if (threshold := threshold_text(study)) is None:
         return
     yield "medians over the measured seeds; only configurations with all seeds measured are marked"
-    yield "*: on the Pareto front of wall time and F-score"
+    seen = fscore_column(study.rows) == "fscore_visible"
+    yield f"*: on the Pareto front of wall time and {'F of seen' if seen else 'F-score'}"
     yield f"precision, recall and F-score at {threshold}; lengths in {study.unit}, D1 in {study.unit}²"
     yield "in brackets: score of an error-free cloud of the same density"
     to = "the true surface" if study.scores[0].accuracy_to == "surface" else "the reference's points"
     yield f"accuracy (c→r, precision) is measured against {to}"
     if (share := study.reference.visible_share) is not None:
         how = study.reference.visibility
-        yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
+        yield f"of seen: recall and F-score over the {share:.1%} of the reference that the cameras saw ({how})"
 
 
 def warnings(study: Bench) -> list[str]:

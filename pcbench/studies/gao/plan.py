@@ -19,8 +19,8 @@ SPLAT = "splat"  # workspace that both clouds of splats share
 _REGION_SHARE = 0.4  # of the farthest camera's distance from the focus; on the paper's circles, the inner city
 _MIN_EIGENVALUE = 0.01  # of the mean projection across the axes; below, the axes are nearly parallel
 
-# As in the paper, but short enough for two cores. The paper densifies from step 1000 of at least 30,000; the rates of
-# density=classic here suit fewer steps.
+# As in the paper, but short enough for two cores: density=gao2025 takes 50,000 steps. The rates of density=classic suit
+# fewer steps.
 SPLAT_SETTINGS = {
     "start": "sfm",
     "density": "classic",

@@ -4,6 +4,7 @@ import re
 import shutil
 from dataclasses import replace
 
+import courtyard
 import numpy as np
 import pytest
 import textured_corner as corner
@@ -13,14 +14,18 @@ from PIL import Image
 from wording import check_error, check_text
 
 from pcbench.errors import InputError, ReconstructionError
+from pcbench.geometry.cameras import Camera, look_at
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.geometry.transform import fit_similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
+from reconstructors.sfm import solve
 from reconstructors.sfm.alignment import camera_errors
 from reconstructors.sfm.features import DATABASE, count_features, extract_features
-from reconstructors.sfm.mapping import largest_component
+from reconstructors.sfm.mapping import largest_component, map_images
+from reconstructors.sfm.matches import match_pairs, verify_matches
+from reconstructors.sfm.pairs import choose_pairs
 from reconstructors.sfm.sfm import ColmapSfm
 
 import_or_skip("pycolmap")
@@ -424,8 +429,42 @@ def test_the_largest_component_is_kept(photographs, tmp_path):
     (tmp_path / "work").mkdir()
     reconstruction = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
     assert sorted(reconstruction.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
-    assert "(of 5, 3 images)" in find_note(reconstruction, "components")
-    assert "3 of 8 images" in find_note(reconstruction, "006.png, 007.png, 008.png")
+    assert "006.png, 007.png, 008.png" in find_note(reconstruction, "separate model")
+    assert "3 of 8 images" in find_note(reconstruction, "not registered")
+
+
+@pytest.mark.parametrize("failing", [["incremental"], ["incremental", "global"]])
+def test_the_other_mapper_is_kept_if_the_requested_one_fails(photographs, workspace, monkeypatch, failing):
+    def largest_or_none(mapped, scene):
+        if mapped.name in failing:
+            raise ReconstructionError("no image registers")
+        return largest_component(mapped, scene)
+
+    monkeypatch.setattr(solve, "largest_component", largest_or_none)
+    sfm = ColmapSfm(poses="solve", refine="none", **QUICK)
+    if "global" in failing:
+        with pytest.raises(ReconstructionError, match="no image registers"):
+            sfm.reconstruct(read_scene(photographs), workspace)
+    else:
+        reconstruction = sfm.reconstruct(read_scene(photographs), workspace)
+        assert len(reconstruction.cameras) == 7
+        find_note(reconstruction, "incremental mapping fails")
+
+
+@pytest.mark.long
+def test_a_walk_straight_ahead_is_solved(tmp_path):
+    """COLMAP starts from no pair of which one image lies ahead of the other."""
+    (tmp_path / "images").mkdir()
+    for number in range(6):
+        eye = np.array([-10 + 0.4 * number, 0.3 * np.sin(2 * number), 1.7])
+        camera = Camera(f"{number}.png", courtyard.standard_intrinsics(), look_at(eye, eye + [20, 0, 0]))
+        Image.fromarray(courtyard.photograph(camera, 0.6)).save(tmp_path / "images" / camera.name)
+    scene = read_scene(tmp_path)
+    features = extract_features(scene, tmp_path, 2000, upsample=False)
+    pairs = choose_pairs(scene, "auto")[1]
+    verified = verify_matches(match_pairs(features, pairs, tmp_path), scene, tmp_path, 0)
+    model, _ = largest_component(map_images(verified, scene, tmp_path, "incremental", "all", 0), scene)
+    assert model.num_reg_images() == 6
 
 
 def test_other_components_of_the_same_images_are_not_counted(photographs, workspace, tmp_path):

@@ -16,6 +16,7 @@ torch = import_or_skip("torch")
 
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.exposure import read_gains  # noqa: E402
+from reconstructors.splat.recipes import Recipe  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402
 
 QUICK_SETTINGS = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
@@ -88,9 +89,8 @@ def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
 
 def test_the_note_gives_the_last_step(train, monkeypatch):
     check_text(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
-    monkeypatch.setattr(
-        plugin, "Schedule", lambda **settings: Schedule(**settings, plateau=np.inf, downscale_shares=(0, 0))
-    )
+    converging = Recipe(schedule=Schedule(plateau=np.inf, downscale_shares=(0, 0)))
+    monkeypatch.setitem(plugin.RECIPES, "fixed", converging)
     check_text(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 
@@ -151,6 +151,20 @@ def test_the_learned_background_is_a_note_and_stays_with_the_model(train, tmp_pa
     assert check_text(texts[0]) == texts[1]
     color = np.loadtxt(tmp_path / "work/model/background.txt")
     assert texts[0].endswith("({}, {}, {})".format(*np.rint(255 * color).astype(int)))
+
+
+def test_the_recipe_of_the_paper_is_used_unless_it_is_set_otherwise(train, monkeypatch):
+    trained = []
+    monkeypatch.setattr(plugin, "run_with_checkpoints", lambda training, *_: trained.append(training) or training.model)
+    train(density="gao2025", steps=None, sh_degree=None, image_side=None, gaussians=None)
+    (training,) = trained
+    assert (training.schedule.steps, training.schedule.sh_degree) == (50_000, 3)
+    assert [training.schedule.degree(step) for step in (999, 1000, 2999, 3000)] == [0, 1, 2, 3]
+    assert training.schedule.level(0) == 0
+    assert training.photographs[0][0].view.width == 16  # a quarter
+    assert training.density.max_gaussians == 2_000_000
+    train(density="gao2025", steps=30_000)
+    assert trained[1].schedule.steps == 30_000
 
 
 def test_a_note_reports_that_training_is_too_short_to_densify(train):

@@ -17,7 +17,9 @@ from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
 from reconstructors.splat.devices import kernels_of  # noqa: E402
+from reconstructors.splat.interface import Gradients  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
+from reconstructors.splat.optimizer import LearningRates, Optimizer  # noqa: E402
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_checkpoint, save_model  # noqa: E402
 from reconstructors.splat.rotations import rotate  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
@@ -146,9 +148,39 @@ def test_parameters_that_are_not_finite_are_no_convergence():
 
 
 def test_a_model_without_gaussians_is_an_error():
-    training = new_training(Classic(refine_start=5, refine_interval=5, prune_opacity=1.0))
+    training = new_training(Classic(refine_start=4, refine_interval=5, prune_opacity=1.0))
     with check_error(ReconstructionError):
         training.run(5)
+
+
+def test_opacities_are_not_reset_when_densification_stops():
+    """Nothing would prune the Gaussians that a reset leaves transparent (Kerbl et al. stop before that step)."""
+    training = new_training(
+        Classic(refine_start=5, refine_interval=5, reset_interval=10, prune_opacity=0.0, prune_scale=10), steps=40
+    )
+    transparent_at = []
+
+    def record(state):
+        if float(state.model.opacities.max()) <= 0.01 + 1e-6:  # rounding of the logit
+            transparent_at.append(state.step)
+
+    training.run(21, record)
+    assert transparent_at == [10]
+
+
+def test_adam_moves_all_gaussians_if_it_is_told_to():
+    for update_all in (False, True):
+        model, _ = truth()
+        optimizer = Optimizer(model, kernels_of(model.means.device).adam)
+        start = model.means.clone()
+        rates = LearningRates(update_all=update_all)
+        for count, drawn in enumerate(([0, 1], [1]), 1):
+            ids = torch.tensor(drawn)
+            ones = [torch.ones((len(drawn), *shape)) for shape in ((3,), (4,), (3,), (), model.sh.shape[1:], (2,))]
+            optimizer.step(model, Gradients(ids, *ones), rates, 0.0, count)
+            moved = (model.means - start).abs().amax(dim=1) > 0
+            start = model.means.clone()
+        assert moved.nonzero().flatten().tolist() == ([0, 1] if update_all else [1])
 
 
 def test_splitting_keeps_the_distribution_and_shrinks():

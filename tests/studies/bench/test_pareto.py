@@ -1,10 +1,12 @@
 """The Pareto front of configurations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benches import row
 
-from pcbench.studies.bench.pareto import configurations, front_configurations, pareto_front, with_front
+from pcbench.studies.bench.pareto import configurations, front_configurations, fscore_column, pareto_front, with_front
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -38,3 +40,15 @@ def test_front_uses_medians_over_seeds():
 def test_configuration_with_a_failed_seed_is_not_on_the_front():
     rows = [row("reliable", 2.0, 0.5), row("lucky", 1.0, 0.9), row("lucky", 1.0, None, "failed", seed=1)]
     assert [row.pareto for row in with_front(rows)] == [True, False, None]
+
+
+def test_invented_surface_where_no_camera_looked_gains_nothing():
+    """A filled hull of the scene has more recall of the whole reference, but less precision."""
+    rows = []
+    for name, wall_s, fscore, seen in (("invents", 2.0, 0.6, 0.7), ("measures", 3.0, 0.3, 0.9)):
+        measured = row(name, wall_s, fscore)
+        rows.append(replace(measured, score=replace(measured.score, fscore_visible=seen)))
+    rows.append(row("invents slowly", 4.0, 0.8))
+    assert [row.pareto for row in with_front(rows[:2])] == [True, True]
+    assert fscore_column(rows[:2]) == "fscore_visible"
+    assert fscore_column(rows) == "fscore"  # it is not known for all
