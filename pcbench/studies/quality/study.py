@@ -179,13 +179,13 @@ def _reasons(quality: CloudQuality, unit: str | None, settings: QualitySettings)
         reasons["density"] = "the points cover no area"
     elif quality.density.why_not:
         reasons["voids"] = f"not looked for, because {quality.density.why_not}"
-    elif quality.voids is not None:
+    elif quality.voids is not None and not quality.voids.counted:
         least = f"{quality.voids.least_area:.3g} {unit or 'units'}²"
         reasons["voids"] = f"no area inside the cloud of {least} or more is without returns"
     if quality.surface is None:
         reasons["noise"] = "too few patches of its points lie on a smooth surface"
-    if quality.double_walls is not None:
-        limit = with_unit(f"{quality.double_walls.max_separation:.3g}", unit)
+    if quality.double_walls is not None and not quality.double_walls.walls:
+        limit = with_unit(f"{quality.double_walls.max_separation:.3g}", unit or "units")
         reasons["double_walls"] = f"no surface appears twice within {limit}"
     if quality.entropy is None:
         reasons["entropy"] = f"too few points have {settings.min_neighbors} points around them"
