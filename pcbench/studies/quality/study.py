@@ -30,7 +30,7 @@ from pcbench.studies.quality.maps import write_maps
 from pcbench.studies.quality.page import article
 from pcbench.studies.quality.results import CSV, KIND, MAPS, MeasuredCloud, QualityStudy
 from pcbench.studies.quality.table import numbers_csv
-from pcbench.studies.quality.words import answer, comparison
+from pcbench.studies.quality.words import answer, comparison, named_answer
 
 _BYTES_PER_POINT = 260
 """Peak memory for each point with the attributes of a LAS file, in bytes; measured with 10 million points."""
@@ -203,5 +203,5 @@ def _study(measured: Sequence[MeasuredCloud], settings: QualitySettings) -> Qual
     if others:
         numbers = dict(first.numbers), dict(others[0].numbers)
         better = {name: better_cloud(name, *numbers) for name in numbers[0]}
-        sentences = [*comparison(first, others[0], better), *sentences, *answer(others[0])]
+        sentences = [*comparison(first, others[0], better), *named_answer(first), *named_answer(others[0])]
     return QualityStudy(first, others[0] if others else None, better, tuple(sentences), settings, provenance(None))

@@ -31,6 +31,12 @@ def answer(measured: MeasuredCloud) -> list[str]:
     return parts
 
 
+def named_answer(measured: MeasuredCloud) -> list[str]:
+    """Return the answer about one of two clouds, whose name is in each sentence."""
+    first, *others = answer(measured)
+    return [first, *(f"{measured.name}: {text[0].lower()}{text[1:]}" for text in others)]
+
+
 def comparison(first: MeasuredCloud, second: MeasuredCloud, better: Mapping[str, int | None]) -> list[str]:
     """Return in which numbers each of two clouds is better, in sentences."""
     texts = []
