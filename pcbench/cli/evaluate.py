@@ -132,7 +132,7 @@ def evaluate(
 def _print_study(study: MethodComparison) -> None:
     """Print the answer, what not to trust, and the tables; of a single pair its scores."""
     from pcbench.studies.evaluate.page import protocol_text, score_text
-    from pcbench.studies.evaluate.table import MAX_PRINTED_COLUMNS, heading, mean_rows, scene_rows, summary_rows
+    from pcbench.studies.evaluate.table import MAX_PRINTED_COLUMNS, heading, scene_rows, shown_mean_rows, summary_rows
     from pcbench.studies.frame.tables import text_table
 
     if len(study.pairs) == 1:
@@ -150,7 +150,7 @@ def _print_study(study: MethodComparison) -> None:
         click.echo(f"warning: {line}")
     average = "means over scenes" if len(study.scenes) > 1 else f"scores on {study.scenes[0]}"
     click.echo(f"\n{average} (¹ best, ² second)")
-    _print_cells(mean_rows(study))
+    _print_cells(shown_mean_rows(study))
     if len(study.scenes) < 2:
         return
     if len(study.chosen_columns) > MAX_PRINTED_COLUMNS:

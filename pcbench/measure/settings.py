@@ -249,13 +249,14 @@ class Settings:
 
     @property
     def files(self) -> list[Path]:
-        """Files that the settings name: of the registration, region, core points of M3C2, check points and metrics."""
+        """Files that settings name, each once: of registration, region, core points of M3C2, check points, metrics."""
         named = self.register if isinstance(self.register, str) else None
         method = as_method(self.register).files if named is None else method_files(named)
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
         check_points = None if self.checkpoints is None else Path(self.checkpoints)
         code = [code_file(metric) if isinstance(metric, str) else metric.path for metric in self.own_metrics]
-        return [*method, *filter(None, (region_file(self.crop), cores, check_points, *code))]
+        files = [*method, *filter(None, (region_file(self.crop), cores, check_points, *code))]
+        return list(dict.fromkeys(files))
 
     @property
     def own_metrics(self) -> tuple[str | OwnMetric, ...]:

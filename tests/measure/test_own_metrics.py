@@ -7,6 +7,7 @@ import math
 import sys
 from fractions import Fraction
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import oracles
@@ -249,6 +250,10 @@ def test_other_metrics_are_refused(own, given):
 def test_names_are_different(metrics):
     with check_error():
         Settings(metrics=metrics)
+
+
+def test_the_file_of_two_metrics_is_one_input():
+    assert Settings(metrics=("own.py:one", "own.py:two")).files == [Path("own.py")]
 
 
 def test_a_file_or_a_module_names_a_metric(own, monkeypatch):

@@ -205,3 +205,11 @@ def test_an_earlier_page_is_replaced_and_does_not_outlive_a_failure(tmp_path):
 
     assert write_page(path, fail) == "report.html was not written: KeyError: 'title'"
     assert not path.exists()
+
+
+def test_only_long_words_are_wrapped_and_numbers_keep_their_column():
+    cells = {"0.00271 [0.00228, 0.00321] units": False, "-1,234.5 [-1,300, -1,100] m²": False, "no file " * 4: True}
+    rows = [["", "value"], *([f"row {k}", text] for k, text in enumerate(cells))]
+    made = page(article(DataTable("t", rows)))
+    for text, is_long in cells.items():
+        assert (f'<td class="long">{text}' in made) == is_long and f">{text}<" in made

@@ -77,7 +77,10 @@ class TanksAndTemples:
             InputError: a file is missing or unusable, or the threshold of the scene is unknown.
             RegistrationError: the candidate cannot be registered.
         """
-        threshold = self.threshold or TntScene(Path(), _scene_name(inputs)).threshold
+        try:
+            threshold = self.threshold or TntScene(Path(), _scene_name(inputs)).threshold
+        except InputError as error:
+            raise InputError(f"{error} (--protocol tnt:threshold=0.01)") from None
         inputs.on_step("reading the clouds")
         reference = vertex_cloud(to_shape(_reference(inputs)))
         candidate, notes = self._candidate(to_shape(inputs.candidate), reference, inputs.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -23,6 +24,7 @@ from pcbench.report.html.embedding import EmbeddedPicture, embed
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, source
 
 _LONG_TEXT = 24  # letters from which the text of a cell is wrapped
+_NUMBER = re.compile(r"[-−+]?[\d.,]+(e[-+]\d+)?( \[[^\]]*\])?( \S+)?")  # with its interval and unit
 
 
 def article_page(article: Article, origin: Origin, folder: Path) -> str:
@@ -110,5 +112,6 @@ def _styled(rows: Iterator[Sequence[TableCell]], labels: int) -> list[list[_Styl
 
 
 def _style(cell: TableCell, is_label: bool) -> str:
-    classes = ("text" if is_label else "", "long" if len(cell.text) > _LONG_TEXT else "", cell.mark)
+    is_long = len(cell.text) > _LONG_TEXT and (is_label or not _NUMBER.fullmatch(cell.text))
+    classes = ("text" if is_label else "", "long" if is_long else "", cell.mark)
     return " ".join(filter(None, classes))

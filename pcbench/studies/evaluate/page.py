@@ -21,7 +21,7 @@ from pcbench.report.html import PAGE
 from pcbench.report.words import UNKNOWN, join_words, number
 from pcbench.studies.evaluate.charts import TIME
 from pcbench.studies.evaluate.results import OK, MethodComparison, PairEvaluation, PairRecord, ScoreColumn
-from pcbench.studies.evaluate.table import difference_rows, heading, mean_rows, scene_rows, summary_rows
+from pcbench.studies.evaluate.table import difference_rows, heading, scene_rows, shown_mean_rows, summary_rows
 from pcbench.studies.evaluate.words import scenes_text
 from pcbench.studies.frame.pages import drawn_pictures
 from pcbench.studies.frame.rates import percent
@@ -29,14 +29,15 @@ from pcbench.studies.frame.rates import percent
 _CAPTIONS = {TIME: "Mean scores against the mean time of each method"}
 _MAX_SHOWN_COLUMNS = 3  # scores whose scenes are visible at once
 _MAX_NAMES = 6
-_MARKS = "Best in bold, second in italics; ↓ lower is better, ↑ higher is better."
+_MARKS = "Best in bold, second in italics; "
+_ARROWS = "↓ lower is better, ↑ higher is better."
 
 
 def article(study: MethodComparison, figures: Sequence[str] = ()) -> Article:
     """Return an evaluation as an article; `figures` are the files of its chart, relative to its folder."""
     pictures = partial(drawn_pictures, figures, _CAPTIONS)
-    means = DataTable("Means over scenes", mean_rows(study), sortable=True)
-    legend = Paragraph(_MARKS)
+    means = DataTable("Means over scenes", shown_mean_rows(study), sortable=True)
+    legend = Paragraph((_MARKS if len(study.methods) > 1 else "") + _ARROWS)
     average = "Means over scenes" if len(study.scenes) > 1 else f"Scores on {study.scenes[0]}"
     sections = [ArticleSection(average, [means, legend])]
     sections += [ArticleSection("Accuracy against time", [picture]) for picture in pictures(TIME)]
@@ -68,7 +69,7 @@ def _subject(study: MethodComparison) -> str:
 def protocol_text(study: MethodComparison) -> str:
     """Return a sentence about the protocol, its source and its settings."""
     protocol = study.protocol
-    settings = ", ".join(f"{name} {value}" for name, value in protocol.settings.items())
+    settings = ", ".join(f"{name} {value}" for name, value in protocol.settings.items() if value)
     return (
         f"Protocol {protocol.text} ({protocol.citation}), as computed by {protocol.version}."
         + (f" Settings: {settings}." if settings else "")

@@ -276,9 +276,15 @@ def _study(
 
 
 def _setting_texts(protocol: BenchmarkProtocol) -> dict[str, str]:
-    """Return all settings of a protocol in words."""
+    """Return all settings of a protocol as they are written in its name."""
     values: dict[str, object] = asdict(protocol)  # type: ignore[call-overload]
-    return {name: "/".join(map(str, v)) or "none" if isinstance(v, tuple) else str(v) for name, v in values.items()}
+    return {name: _setting_text(value) for name, value in values.items()}
+
+
+def _setting_text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "/".join(map(str, value)) or "none" if isinstance(value, tuple) else str(value)
 
 
 def _all_columns(records: Iterable[PairRecord]) -> tuple[ScoreColumn, ...]:

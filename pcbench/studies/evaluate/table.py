@@ -13,6 +13,7 @@ from pcbench.report.words import UNKNOWN, interval_text
 from pcbench.studies.evaluate.results import FAILED, MISSING, OK, MethodComparison, MethodMean, ScoreColumn, ScoreRow
 
 MAX_PRINTED_COLUMNS = 3  # scores whose scenes are printed; files have all
+_MAX_COLUMNS = 5  # scores beside each other in the table of means
 _SIGNIFICANT_DIGITS = 3
 _FIXED_EXPONENTS = range(-5, 6)  # of typical values that are written without exponent
 _ARROWS = {"lower": "↓", "higher": "↑", None: ""}
@@ -58,6 +59,14 @@ def mean_rows(study: MethodComparison) -> list[list[TableCell]]:
         marked = marks(values, column)
         cells.append({m: TableCell(_text(value, form), marked[m]) for m, value in values.items()})
     return [header, *([TableCell(method), *(column[method] for column in cells)] for method in study.methods)]
+
+
+def shown_mean_rows(study: MethodComparison) -> list[list[TableCell]]:
+    """Return the rows of the means as they fit into a window: many scores of fewer methods are rows."""
+    rows = mean_rows(study)
+    if len(study.chosen_columns) <= max(_MAX_COLUMNS, len(study.methods)):
+        return rows
+    return [list(row) for row in zip([TableCell("score"), *rows[0][1:]], *rows[1:], strict=True)]
 
 
 def scene_rows(study: MethodComparison, column: ScoreColumn) -> list[list[TableCell]]:

@@ -20,10 +20,22 @@ def answer(study: MethodComparison) -> Iterator[str]:
         yield "No pair could be evaluated."
         return
     ranked = [column for column in study.chosen_columns if column.better is not None]
-    sentences = [sentence for column in ranked if (sentence := _best(study, column))]
+    candidates = [_scores(study, ranked)] if len(study.methods) == 1 else [_best(study, column) for column in ranked]
+    sentences = [sentence for sentence in candidates if sentence]
     yield from sentences[:_MAX_ANSWERS]
     if not sentences:
         yield "No score has a value for all methods on the same scene."
+
+
+def _scores(study: MethodComparison, columns: Sequence[ScoreColumn]) -> str:
+    """Return the scores of the only method in one sentence; empty if it has none."""
+    means = [(column, mean) for column in columns for mean in study.means_of(column.name) if mean.mean is not None]
+    if not means:
+        return ""
+    scores = join_words([f"{column.name} {with_unit(f'{mean.mean:.4g}', column.unit)}" for column, mean in means], 6)
+    if len(study.scenes) == 1:
+        return f"{study.methods[0]} on {study.scenes[0]}: {scores}."
+    return f"{study.methods[0]}, means over {scenes_text(max(mean.scenes for _, mean in means))}: {scores}."
 
 
 def _best(study: MethodComparison, column: ScoreColumn) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.extras import require
+from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.quality.density import PlanMap
 from pcbench.measure.quality.quality import QualityMaps
 from pcbench.report.colors import BLUE, VERMILION
@@ -16,7 +17,13 @@ from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import drawing_style
 from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar
-from pcbench.studies.frame.canvas import blank_figure, chart_pictures, delete_former_charts, save_charts
+from pcbench.studies.frame.canvas import (
+    blank_figure,
+    chart_pictures,
+    delete_former_charts,
+    plain_log_ticks,
+    save_charts,
+)
 from pcbench.studies.quality.maps import read_maps
 from pcbench.studies.quality.results import KIND, MAPS, MeasuredCloud, QualityStudy
 
@@ -28,6 +35,7 @@ _MAX_ASPECT = 3.0
 _RANGE = (2, 98)  # percentiles of the values that the colours show
 _MAX_LINEAR_RATIO = 20.0  # of the ends of the range, above which the colours are logarithmic
 _MAX_NUMBERED = 20  # voids and double walls with numbers
+_NUMBER_ROOM = 0.25  # for a number, in inches
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -73,7 +81,7 @@ def _map(plan: PlanMap, cloud: MeasuredCloud, kind: str, limits: tuple[float, fl
 
     unit = cloud.unit or "units"
     labels = {"density": f"points per {unit}²", "thickness": f"thickness [{unit}]"}
-    figure, axis = _frame(plan, unit)
+    figure, axis = _frame(plan, cloud)
     low, high = limits
     norm: Any = Normalize(low, high)
     if low > 0 and high > _MAX_LINEAR_RATIO * low:
@@ -88,13 +96,14 @@ def _map(plan: PlanMap, cloud: MeasuredCloud, kind: str, limits: tuple[float, fl
     )
     bar = figure.colorbar(image, ax=axis, extend="both", aspect=30, pad=0.02)
     bar.set_label(labels[kind])
+    if isinstance(norm, LogNorm):
+        plain_log_ticks(bar.ax.yaxis)
     if kind == "thickness" and cloud.double_walls:
         places = np.array([wall.centre for wall in cloud.double_walls[:_MAX_NUMBERED]])
         axis.plot(places[:, 0], places[:, 1], "o", color=dark, fillstyle="none", markersize=9, label="double wall")
-        for number, place in enumerate(places, 1):
-            axis.annotate(str(number), place[:2], xytext=(6, 5), textcoords="offset points", fontsize=8, color=dark)
+        _number(axis, plan, places[:, :2], dark)
         figure.legend(loc="outside lower center", frameon=False, fontsize=9)
-    _finish(axis, plan, unit)
+    _finish(axis, plan, cloud)
     return figure
 
 
@@ -102,9 +111,9 @@ def _void_map(maps: QualityMaps, cloud: MeasuredCloud, dark: str) -> Any:
     """Draw the voids on the density in grey, with their numbers."""
     from matplotlib.colors import ListedColormap
 
-    plan, unit = maps.voids, cloud.unit or "units"
+    plan = maps.voids
     assert plan is not None
-    figure, axis = _frame(plan, unit)
+    figure, axis = _frame(plan, cloud)
     if maps.density is not None:
         ground = maps.density.values
         west, east, south, north = maps.density.extent
@@ -116,31 +125,48 @@ def _void_map(maps: QualityMaps, cloud: MeasuredCloud, dark: str) -> Any:
     shown = np.where(plan.values > 0, plan.values, np.nan)
     colors = ListedColormap([VERMILION, BLUE])
     axis.imshow(shown, cmap=colors, vmin=0.5, vmax=2.5, extent=(west, east, south, north), interpolation="nearest")
-    for number, void in enumerate(cloud.voids[:_MAX_NUMBERED], 1):
-        axis.annotate(
-            str(number), (void.x, void.y), xytext=(6, 5), textcoords="offset points", fontsize=8.5, color=dark
-        )
-    _finish(axis, plan, unit)
+    _number(axis, plan, np.array([(void.x, void.y) for void in cloud.voids[:_MAX_NUMBERED]]).reshape(-1, 2), dark)
+    _finish(axis, plan, cloud)
     return figure
 
 
-def _frame(plan: PlanMap, unit: str) -> tuple[Any, Any]:
+def _number(axis: Any, plan: PlanMap, places: FloatArray, dark: str) -> None:
+    """Write numbers beside places (N, 2), from the first on, where they do not cover an earlier one."""
+    west, east, south, north = plan.extent
+    size = np.array([east - west, north - south])
+    room = _NUMBER_ROOM * size.max() / _MAP_SIDE
+    written = np.empty((0, 2))
+    for number, place in enumerate(places, 1):
+        if (abs(written - place) < room).all(axis=1).any():
+            continue
+        written = np.vstack([written, place])
+        at_side = place > np.array([east, north]) - room  # right and upper: the number is on the other side
+        side, height = ("right" if at_side[0] else "left"), ("top" if at_side[1] else "bottom")
+        axis.annotate(
+            str(number), place, xytext=(-6 if at_side[0] else 6, -5 if at_side[1] else 5), textcoords="offset points",
+            ha=side, va=height, fontsize=8.5, color=dark,
+        )  # fmt: skip
+
+
+def _frame(plan: PlanMap, cloud: MeasuredCloud) -> tuple[Any, Any]:
     west, east, south, north = plan.extent
     size = np.array([east - west, north - south])
     sides = np.clip(size / size.max(), 1 / _MAX_ASPECT, 1.0) * _MAP_SIDE
     figure = blank_figure((float(sides[0]) + 1.9, float(sides[1]) + 1.0))
     axis = figure.subplots()
     axis.set_facecolor("none")
-    axis.set_xlabel(f"x (east) [{unit}]")
-    axis.set_ylabel(f"y (north) [{unit}]")
+    unit, is_oriented = cloud.unit or "units", cloud.crs is not None
+    axis.set_xlabel(f"x{' (east)' if is_oriented else ''} [{unit}]")
+    axis.set_ylabel(f"y{' (north)' if is_oriented else ''} [{unit}]")
     return figure, axis
 
 
-def _finish(axis: Any, plan: PlanMap, unit: str) -> None:
+def _finish(axis: Any, plan: PlanMap, cloud: MeasuredCloud) -> None:
     west, east, south, north = plan.extent
     axis.set(xlim=(west, east), ylim=(south, north), aspect="equal")
     axis.ticklabel_format(useOffset=False, style="plain")
     axis.tick_params(labelsize=8)
     axis.locator_params(nbins=5)
-    draw_scale_bar(axis, unit)
-    draw_north_arrow(axis)
+    draw_scale_bar(axis, cloud.unit or "units")
+    if cloud.crs is not None:
+        draw_north_arrow(axis)

@@ -16,8 +16,9 @@ from pcbench.studies.quality.table import MOST_ROWS, definition_rows, number_row
 _CAPTIONS = {
     "density": "Density in plan view; the colours range from the 2nd to the 98th percentile",
     "thickness": "Mean thickness of flat patches: the width along the normal that holds 90 % of their points",
-    "voids": "Voids (orange, numbered by area) and voids at water (blue) on the density (grey)",
+    "voids": "Voids (orange, numbered by area where there is room) and voids at water (blue) on the density (grey)",
 }
+_COUNTS = {"voids": "void_count", "double_walls": "double_wall_count"}
 _LIMITS = (
     "Without a reference, a cloud cannot show errors that are the same everywhere, such as a wrong scale, or drift"
     " where nothing was seen twice.",
@@ -57,8 +58,12 @@ def article(study: QualityStudy, figures: Sequence[str] = ()) -> Article:
 def _setup(cloud: MeasuredCloud) -> str:
     system = "an unnamed coordinate system" if cloud.crs is None else crs_label(cloud.crs)
     unit = "an unknown unit" if cloud.unit is None else cloud.unit
-    reasons = [f"{what.replace('_', ' ')}: {why}" for what, why in cloud.reasons.items()]
-    missing = f" Not measured or empty: {'; '.join(reasons)}." if reasons else ""
+    reasons = [
+        f"{what.replace('_', ' ')}: {why}"
+        for what, why in cloud.reasons.items()
+        if what not in _COUNTS or cloud.value(_COUNTS[what]) is None  # the answer says that there are none
+    ]
+    missing = f" Not measured: {'; '.join(reasons)}." if reasons else ""
     points = int(cloud.value("points") or 0)
     return f"{pluralize(points, 'point')} of {cloud.cloud}, in {system}; lengths in {unit}.{missing}"
 

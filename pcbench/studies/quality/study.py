@@ -30,7 +30,7 @@ from pcbench.studies.quality.maps import write_maps
 from pcbench.studies.quality.page import article
 from pcbench.studies.quality.results import CSV, KIND, MAPS, MeasuredCloud, QualityStudy
 from pcbench.studies.quality.table import numbers_csv
-from pcbench.studies.quality.words import answer, comparison
+from pcbench.studies.quality.words import answer, comparison, named_answer
 
 _BYTES_PER_POINT = 260
 """Peak memory for each point with the attributes of a LAS file, in bytes; measured with 10 million points."""
@@ -179,13 +179,13 @@ def _reasons(quality: CloudQuality, unit: str | None, settings: QualitySettings)
         reasons["density"] = "the points cover no area"
     elif quality.density.why_not:
         reasons["voids"] = f"not looked for, because {quality.density.why_not}"
-    elif quality.voids is not None:
+    elif quality.voids is not None and not quality.voids.counted:
         least = f"{quality.voids.least_area:.3g} {unit or 'units'}²"
         reasons["voids"] = f"no area inside the cloud of {least} or more is without returns"
     if quality.surface is None:
         reasons["noise"] = "too few patches of its points lie on a smooth surface"
-    if quality.double_walls is not None:
-        limit = with_unit(f"{quality.double_walls.max_separation:.3g}", unit)
+    if quality.double_walls is not None and not quality.double_walls.walls:
+        limit = with_unit(f"{quality.double_walls.max_separation:.3g}", unit or "units")
         reasons["double_walls"] = f"no surface appears twice within {limit}"
     if quality.entropy is None:
         reasons["entropy"] = f"too few points have {settings.min_neighbors} points around them"
@@ -203,5 +203,5 @@ def _study(measured: Sequence[MeasuredCloud], settings: QualitySettings) -> Qual
     if others:
         numbers = dict(first.numbers), dict(others[0].numbers)
         better = {name: better_cloud(name, *numbers) for name in numbers[0]}
-        sentences = [*comparison(first, others[0], better), *sentences, *answer(others[0])]
+        sentences = [*comparison(first, others[0], better), *named_answer(first), *named_answer(others[0])]
     return QualityStudy(first, others[0] if others else None, better, tuple(sentences), settings, provenance(None))

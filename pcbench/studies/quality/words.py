@@ -31,6 +31,12 @@ def answer(measured: MeasuredCloud) -> list[str]:
     return parts
 
 
+def named_answer(measured: MeasuredCloud) -> list[str]:
+    """Return the answer about one of two clouds, whose name is in each sentence."""
+    first, *others = answer(measured)
+    return [first, *(f"{measured.name}: {text[0].lower()}{text[1:]}" for text in others)]
+
+
 def comparison(first: MeasuredCloud, second: MeasuredCloud, better: Mapping[str, int | None]) -> list[str]:
     """Return in which numbers each of two clouds is better, in sentences."""
     texts = []
@@ -84,7 +90,7 @@ def _noise(measured: MeasuredCloud) -> Iterator[str]:
         few = f", on the {percentage(flat.value)} of the patches that lie on a smooth surface"
     yield (
         f"The points of {measured.name} scatter across surfaces by {value_text(noise)} (noise){few}; 90 % of them lie"
-        f" within a thickness of {length(thickness.value, measured.unit)}."
+        f" within a thickness of {length(thickness.value, thickness.unit)}."
     )
 
 
@@ -111,9 +117,9 @@ def _strips(measured: MeasuredCloud) -> Iterator[str]:
         return
     is_offset = worst.dz.low > 0 or worst.dz.high < 0
     offset = f"{length_number(worst.dz.value)} {interval_text(worst.dz.low, worst.dz.high)}"
-    offset = with_unit(offset, measured.unit)
+    offset = with_unit(offset, measured.unit or "units")
     pairs = pluralize(len(measured.strips), "overlapping pair")
-    rms = length(worst.rms_dz.value, measured.unit)
+    rms = length(worst.rms_dz.value, measured.unit or "units")
     if is_offset:
         yield (
             f"Strips {worst.first} and {worst.second} ({measured.strip_field}) differ by {offset} in height, RMSDz"
@@ -178,9 +184,14 @@ def _rounding(measured: MeasuredCloud) -> Iterator[str]:
     if step and noise is not None and step > _COARSE_STEP_SHARE * noise:
         cause = " (32-bit floats at large coordinates)" if single and 0.4 < step / single < 2.1 else ""
         yield (
-            f"Coordinates are rounded to steps of {length(step, measured.unit)}{cause}, more than the noise: store them"
-            " with more digits, or relative to a local origin."
+            f"Coordinates are rounded to steps of {length(step, measured.unit or 'units')}{cause}, more than the noise:"
+            " store them with more digits, or relative to a local origin."
         )
+
+
+def _factor(ratio: float) -> str:
+    """Return a ratio with two significant digits, and without exponent."""
+    return f"{float(f'{ratio:.2g}'):,g}"
 
 
 def _density(measured: MeasuredCloud) -> Iterator[str]:
@@ -188,10 +199,10 @@ def _density(measured: MeasuredCloud) -> Iterator[str]:
     pulse, plan = measured.numbers["pulse_density"], measured.numbers["plan_density"]
     if spacing.value is None:
         return
-    text = f"The point spacing is {length(spacing.value, measured.unit)}"
+    text = f"The point spacing is {length(spacing.value, spacing.unit)}"
     if measured.value("void_count") is not None:
         chosen = plan if pulse.value is None else pulse
         text += f", the {'pulse ' if pulse.value is not None else ''}density {value_text(chosen)} in plan view"
     if ratio is not None:
-        text += f"; the density on the surface varies by a factor of {ratio:.2g} (5th to 95th percentile)"
+        text += f"; the density on the surface varies by a factor of {_factor(ratio)} (5th to 95th percentile)"
     yield f"{text}."

@@ -15,6 +15,7 @@ from pcbench.studies.evaluate import runs
 from pcbench.studies.evaluate.plan import EvaluationPlan, PlannedPair
 from pcbench.studies.evaluate.results import KIND, EvaluateSettings
 from pcbench.studies.evaluate.study import run_evaluation, shared_settings
+from pcbench.studies.evaluate.table import shown_mean_rows
 
 METHODS = {"good": 0.01, "bad": 0.05}
 
@@ -59,6 +60,16 @@ def test_the_best_method_is_the_answer(finished):
         clouds = (np.load(folder / kind / f"{pair.scene}.npy") for kind in ("gt", pair.method))
         expected = pcbench.score(*clouds).chamfer
         assert pair.scores["chamfer"] == pytest.approx(expected, rel=1e-12)  # sums of points moved near the origin
+
+
+def test_the_scores_of_one_method_are_one_sentence_and_rows(tmp_path):
+    reference, _ = write_scenes(tmp_path, 1)
+    study = pcbench.evaluate(reference, [str(tmp_path / "good" / "{scene}.npy")])
+    (sentence,) = study.sentences
+    check_text(sentence)
+    header, *rows = shown_mean_rows(study)
+    assert [cell.text for cell in header] == ["score", "good"]
+    assert len(rows) == len(study.chosen_columns) and {len(row) for row in rows} == {2}
 
 
 def test_all_files_have_the_same_numbers(finished):
