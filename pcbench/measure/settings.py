@@ -80,8 +80,8 @@ class Settings:
             tested, see `pcbench.io.check_points`.
         metrics: user-defined metrics: functions of a `pcbench.measure.own_metrics.MeasuredPair`, or their texts such as
             `FILE.py:function`.
-        deformation: whether to test the candidates for deformation, which takes about a third of the time in large
-            clouds and most of it in small ones.
+        deformation: whether to test the candidates for deformation, which takes up to a third of the time in large
+            clouds and more than half of it in small ones.
     """
 
     register: Method | Similarity | ArrayLike | str = setting(
@@ -192,7 +192,7 @@ class Settings:
     deformation: bool = setting(
         True,
         "--no-deformation",
-        "Do not test for deformation, which saves a third of the time in large clouds and most of it in small ones.",
+        "Do not test for deformation: saves up to a third of the time in large clouds, and half of it in small ones.",
         parse=lambda flag, is_given: not is_given,
     )
 
