@@ -12,6 +12,7 @@ from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation
 from pcbench.deformation.shapes import shape_of
 from pcbench.deformation.size import (
+    NullDistribution,
     amplitude,
     detectable_sizes,
     effective_count,
@@ -44,6 +45,7 @@ def describe(evidence: PairEvidence, finding: Finding, *, resolution: float = 0.
     sums, geometry, scores, noise = evidence
     negligible = max(resolution, negligible_rms(noise))
     stated = stated_rms(negligible, noise)
+    null = NullDistribution.of(geometry, noise)
     rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
@@ -69,10 +71,10 @@ def describe(evidence: PairEvidence, finding: Finding, *, resolution: float = 0.
             growth=Growth(with_distance=cells.trend(cells.distance), with_height=cells.trend(cells.height)),
             observable=observable_shares(sums, geometry.tiles),
             local=local,
-            minimum_detectable_rms=minimum_detectable_rms(geometry, noise),
+            minimum_detectable_rms=minimum_detectable_rms(geometry, null),
             negligible_rms=negligible,
             stated_rms=stated,
-            detectable=detectable_sizes(geometry, noise, stated),
+            detectable=detectable_sizes(geometry, null, stated),
             conditional_verdict=finding.conditional,
             warnings=finding.warnings,
         )

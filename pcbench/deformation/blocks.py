@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.order_statistics import NORMAL_MAD
-from pcbench.geometry.voxels import Cells, cells
+from pcbench.geometry.voxels import cells
 
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
 # The far width is so large that a part that moved does not set the scale.
@@ -16,6 +18,57 @@ _EXACT_SHARE = 0.01
 _MIN_NOISY_WEIGHT, _MIN_NOISY_BLOCKS = 0.15, 0.25  # shares of a block's weight, and of the blocks, that have noise
 _MIN_WEIGHT_SHARE = 0.1  # of the mean weight of well seen blocks: one with less says nothing
 _MIN_SIZE = 0.5  # of the blocks' median: a quiet part does not set the scale of the others
+
+
+class Blocks(NamedTuple):
+    """Cubes of a tenth of the scene that contain N positions.
+
+    Attributes:
+        of_point: (N,) block of each position.
+        side: edge of the blocks.
+        squared_distances: (M, M) between the mean positions of the blocks.
+    """
+
+    of_point: IntArray
+    side: float
+    squared_distances: FloatArray
+
+    @classmethod
+    def of(cls, places: FloatArray) -> Blocks:
+        """Return the blocks of positions (N, 3)."""
+        lower, upper = np.percentile(places, [1, 99], axis=0)
+        side = float((upper - lower).max()) / _BLOCKS_ALONG_SCENE
+        grid = cells(places, side, lower)
+        means = np.stack([grid.means(places[:, axis]) for axis in range(3)], axis=1)
+        return cls(grid.of_point, side, np.square(means[:, None] - means[None]).sum(axis=2))
+
+    def __len__(self) -> int:
+        return len(self.squared_distances)
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Return the sums (M,) of values (N,)."""
+        sums: FloatArray = np.bincount(self.of_point, values, len(self)).astype(np.float64)
+        return sums
+
+    def smooth(self, values: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return kernel-weighted means (N,) of values (N,) around each position."""
+        total = self.sums(weights)
+        means = self.sums(weights * values) / np.maximum(total, 1e-300)
+        return self.kernel_means(means, total, _NEAR_WIDTH_BLOCKS)
+
+    def kernel_means(self, values: FloatArray, weights: FloatArray, width: float) -> FloatArray:
+        """Return (N,) Gaussian-kernel means of values (M,) with weights (M,), at the block of each position."""
+        share = np.exp(-0.5 * self.squared_distances / (width * self.side) ** 2) * weights + 1e-12 * weights.max()
+        smoothed: FloatArray = (share @ values / share.sum(axis=1))[self.of_point]
+        return smoothed
+
+    def share_with_weight(self, weights: FloatArray, areas: FloatArray) -> float:
+        """Return the share of the area in blocks whose mean weight is at least a tenth of that behind half the fit."""
+        area, total = self.sums(areas), self.sums(areas * weights)
+        mean = total / area
+        order = np.argsort(mean)
+        well_seen = mean[order][np.searchsorted(np.cumsum(total[order]), 0.5 * total.sum())]
+        return float(area[(mean >= _MIN_WEIGHT_SHARE * well_seen) & (mean > 0)].sum() / area.sum())
 
 
 def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, exact: float = 0.0) -> FloatArray:
@@ -32,11 +85,10 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, 
         exact: largest residual that may count as exact.
     """
     lengths = np.abs(residuals)
-    blocks, side = _blocks(places)
-    count = len(blocks.first)
-    everything = np.bincount(blocks.of_point, weights, count)
+    blocks = Blocks.of(places)
+    everything = blocks.sums(weights)
     is_noisy = lengths > min(exact, _EXACT_SHARE * float(np.percentile(lengths, 90)))
-    total = np.bincount(blocks.of_point, weights * is_noisy, count).astype(np.float64)
+    total = blocks.sums(weights * is_noisy)
     has_noise = (total > _MIN_NOISY_WEIGHT * everything) & (total > 0)
     if np.count_nonzero(has_noise) < _MIN_NOISY_BLOCKS * np.count_nonzero(everything):
         return np.full(len(places), NORMAL_MAD * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
@@ -46,27 +98,8 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, 
         return np.zeros(len(places))
     typical = float(np.median(sizes[has_noise]))
     logarithms = np.log(np.maximum(np.where(has_noise, sizes, typical), _MIN_SIZE * typical))
-    means = _kernel_means(places, blocks, logarithms, np.where(has_noise, total, 0.0), _FAR_WIDTH_BLOCKS * side)
-    noise: FloatArray = np.exp(means)
+    noise: FloatArray = np.exp(blocks.kernel_means(logarithms, np.where(has_noise, total, 0.0), _FAR_WIDTH_BLOCKS))
     return noise
-
-
-def smooth(places: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return kernel-weighted means of values (N,) around each position (N,)."""
-    blocks, side = _blocks(places)
-    total: FloatArray = np.bincount(blocks.of_point, weights, len(blocks.first)).astype(np.float64)
-    means = np.bincount(blocks.of_point, weights * values, len(blocks.first)) / np.maximum(total, 1e-300)
-    return _kernel_means(places, blocks, means, total, _NEAR_WIDTH_BLOCKS * side)
-
-
-def share_with_weight(places: FloatArray, weights: FloatArray, areas: FloatArray) -> float:
-    """Return the share of the area in blocks whose mean weight is at least a tenth of that behind half of the fit."""
-    blocks, _ = _blocks(places)
-    area, total = np.bincount(blocks.of_point, areas), np.bincount(blocks.of_point, areas * weights)
-    mean = total / area
-    order = np.argsort(mean)
-    well_seen = mean[order][np.searchsorted(np.cumsum(total[order]), 0.5 * total.sum())]
-    return float(area[(mean >= _MIN_WEIGHT_SHARE * well_seen) & (mean > 0)].sum() / area.sum())
 
 
 def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatArray:
@@ -78,20 +111,3 @@ def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatA
     half = 0.5 * (below[ends - counts] + below[ends])
     medians: FloatArray = values[order][np.clip(np.searchsorted(below[1:], half), ends - counts, ends - 1)]
     return medians
-
-
-def _blocks(places: FloatArray) -> tuple[Cells, float]:
-    lower, upper = np.percentile(places, [1, 99], axis=0)
-    side = float((upper - lower).max()) / _BLOCKS_ALONG_SCENE
-    return cells(places, side, lower), side
-
-
-def _kernel_means(
-    places: FloatArray, blocks: Cells, values: FloatArray, weights: FloatArray, reach: float
-) -> FloatArray:
-    """Return (N,) Gaussian-kernel means of block values (M,) with weights (M,), evaluated at each position's block."""
-    means = np.stack([blocks.means(places[:, axis]) for axis in range(3)], axis=1)
-    squared_distances = np.square(means[:, None] - means[None]).sum(axis=2)
-    share = np.exp(-0.5 * squared_distances / reach**2) * weights + 1e-12 * weights.max()
-    smoothed: FloatArray = (share @ values / share.sum(axis=1))[blocks.of_point]
-    return smoothed

@@ -17,6 +17,7 @@ _AZIMUTH_COUNT = 18
 # Share of the energy that an affine field leaves; noise correlated over a tenth of a scene gives less.
 _MIN_ENERGY_SHARE = 0.25
 _MIN_WEIGHT_SHARE = 0.1  # share of the weight on either side
+_MIN_OFFSET_INFORMATION = 0.01  # share of the weight that determines an offset along a direction
 
 
 class Break(NamedTuple):
@@ -54,7 +55,8 @@ def find_break(evidence: PairEvidence) -> Break | None:
     smooth = geometry.explained_sum(scores, "cubic") - geometry.explained_sum(scores, "affine")
     if energy <= 0:
         return None
-    seen = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)
+    required = max(_MIN_ENERGY_SHARE * energy, smooth)
+    seen = affine.T @ geometry.translations  # (C, 12, 3)
     best = None
     for azimuth in np.arange(_AZIMUTH_COUNT) * 180.0 / _AZIMUTH_COUNT:
         along = np.array([math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))])
@@ -63,17 +65,19 @@ def find_break(evidence: PairEvidence) -> Break | None:
         part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
         inner = np.flatnonzero((part >= _MIN_WEIGHT_SHARE) & (part <= 1 - _MIN_WEIGHT_SHARE))
         # Sums over the cells below each cut; the cells above contribute the same with the opposite sign.
-        h, g = np.cumsum(remainders[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
+        h = np.cumsum(remainders[order], axis=0)
+        # An offset cannot explain more than this: at most cuts, that is too little.
+        inner = inner[np.square(h[inner]).sum(axis=1) >= required * _MIN_OFFSET_INFORMATION * geometry.total]
+        h, g = h[inner], np.cumsum(geometry.information[order], axis=0)[inner]
         z = np.cumsum(seen[order], axis=0)[inner]
-        matrix = g - np.einsum("cak,cal->ckl", z, z)
-        values, vectors = np.linalg.eigh(matrix)
+        values, vectors = np.linalg.eigh(g - z.transpose(0, 2, 1) @ z)
         modes = np.einsum("ckm,ck->cm", vectors, h)
-        shown = values > 0.01 * geometry.total
+        shown = values > _MIN_OFFSET_INFORMATION * geometry.total
         power = np.where(shown, np.square(modes) / np.where(shown, values, 1.0), 0.0).sum(axis=1)
         cut = int(np.argmax(power)) if len(power) else 0
         if len(power) and (best is None or power[cut] > best[0]):
             offset = vectors[cut] @ np.where(shown[cut], modes[cut] / np.where(shown[cut], values[cut], 1.0), 0.0)
             best = float(power[cut]), geometry.means[order[inner[cut]]], float(azimuth), -offset
-    if best is None or best[0] < max(_MIN_ENERGY_SHARE * energy, smooth):
+    if best is None or best[0] < required:
         return None
     return Break(*best[1:])

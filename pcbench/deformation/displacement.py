@@ -21,6 +21,20 @@ _HALF_DAMPED_INFORMATION = 0.01  # information, at most 1, at which the fit is d
 _RIDGE = 1e-12
 
 
+class FieldFrame(NamedTuple):
+    """Values that all fits of a displacement field to residuals at the same N positions use.
+
+    Attributes:
+        places: (N, 3) scaled positions.
+        values: (20, N) their monomials.
+        basis: (60, 60) from monomials to polynomials that are orthonormal over the positions, for three components.
+    """
+
+    places: FloatArray
+    values: FloatArray
+    basis: FloatArray
+
+
 class Displacement(NamedTuple):
     """A cubic displacement field (N, 3) at positions (N, 3), constant beyond `radius` from the centre on each axis."""
 
@@ -35,35 +49,43 @@ class Displacement(NamedTuple):
 
     def __call__(self, places: FloatArray) -> FloatArray:
         """Return the displacements (N, 3) at positions (N, 3)."""
-        field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
+        return self.from_monomials(monomials(self._inside(places)))
+
+    def from_monomials(self, values: FloatArray) -> FloatArray:
+        """Return the displacements (N, 3) at positions whose monomials are `values` (20, N)."""
+        field: FloatArray = values.T @ self.coefficients
         return field
+
+    def frame(self, places: FloatArray, noise: float) -> FieldFrame:
+        """Return the frame of fits to residuals at positions (N, 3), whose standard deviation is `noise`."""
+        x = self._inside(places)
+        values = monomials(x)
+        squares = values @ values.T / len(x)
+        squares += np.diag(POSITION_NOISE_FACTOR * (noise / self.radius) ** 2 * mean_squared_gradients(squares))
+        to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
+        return FieldFrame(x, values, np.kron(to_orthonormal, np.eye(3)).astype(np.float64))
 
     def fit(
         self,
-        places: FloatArray,
+        frame: FieldFrame,
         normals: FloatArray,
         residuals: FloatArray,
         weights: FloatArray,
-        noise: float,
         half_damped_information: float = _HALF_DAMPED_INFORMATION,
     ) -> Displacement:
-        """Fit the field to (N,) residuals along normals, by damped weighted least squares.
+        """Fit the field to (N,) residuals along normals at the positions of a frame, by damped weighted least squares.
 
         Poorly determined parts are left out. Their information is relative to the field's size at all positions,
         whatever the weights: a field that is free where a forest has no weight would find pairs there that confirm it.
-        A coordinate that varies hardly more than the `noise` of positions and residuals gives no slope. A part of
+        A coordinate that varies hardly more than the noise of positions and residuals gives no slope. A part of
         information `half_damped_information` is damped to half.
         """
-        x = self._inside(places)
-        moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
-        values = monomials(x)
-        squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
-        squares += np.diag(POSITION_NOISE_FACTOR * (noise / self.radius) ** 2 * mean_squared_gradients(squares))
-        to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
-        basis = np.kron(to_orthonormal, np.eye(3))
-        information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
-        loads = fields.T @ (basis @ scores.ravel()) / weights.sum()
-        solution = fields @ (information / (np.square(information) + half_damped_information**2) * loads)
+        moments, scores = (sums[0] for sums in normal_equations(frame.places, normals, weights, residuals))
+        basis = frame.basis
+        information = basis @ normal_matrix(moments) @ basis.T / weights.sum()
+        # A part of information i is multiplied by i / (i^2 + h^2), the real part of 1 / (i + h sqrt(-1)).
+        damped = information + 1j * half_damped_information * np.eye(len(information))
+        solution = np.linalg.solve(damped, basis @ scores.ravel() / weights.sum()).real
         return self._replace(coefficients=(basis.T @ solution).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:

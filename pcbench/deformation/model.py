@@ -15,6 +15,7 @@ from pcbench.deformation.polynomials import (
     EXPONENTS,
     MODELS,
     PARAMETERS,
+    form_of_moments,
     gram_matrix,
     mean_and_spread,
     mean_squared_gradients,
@@ -31,7 +32,6 @@ TILE = 2  # cells along each edge of a tile
 MIN_INFORMATION = 0.02
 _MIN_INFORMATION_AFFINE = 1e-4  # for affine fields and smaller models
 _RIDGE = 1e-12
-_CELLS_AT_ONCE = 32  # cells per block of normal matrices, which are much larger than the moments
 POSITION_NOISE_FACTOR = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
 # Kinds of deformation whose detectable size is stated: powers of x, y and z by the axis of the displacement.
 KINDS = {
@@ -41,6 +41,7 @@ KINDS = {
     "twist": {"-x": [(1, 1, 0)], "y": [(2, 0, 0)]},
     "lean": {"x": [(0, 0, 2)]},
 }
+_MIN_EXPONENT = -700.0  # where exp is 1e-304: it takes three times as long where it underflows
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # bounds of the lag classes, in cells; negative to 0: within a cell
 
 
@@ -83,6 +84,7 @@ class ModelStep:
         # (C, 3, K) response of the modes to noise that is constant in a cell, and (K, K) covariance under white noise.
         self.responses = np.einsum("ik,cij->cjk", self.modes, geometry.loads, optimize=True)
         self.white = self.modes.T @ geometry.white @ self.modes
+        self.covariance: tuple[Noise, FloatArray] | None = None  # (K, K) under a noise, see `Geometry.covariance`
 
 
 class Geometry:
@@ -124,26 +126,32 @@ class Geometry:
         self._within = within[:, None] + within[None]
         self.lengths = sums.side * np.array(KERNEL_LENGTHS)
         self._near = sums.near / np.maximum(np.square(self.load).sum(axis=(1, 2)), 1e-300)[:, None]
-        self.cell_matrices = np.empty((len(sums.moments), *self.basis.shape))
-        for start in range(0, len(sums.moments), _CELLS_AT_ONCE):
-            few = slice(start, start + _CELLS_AT_ONCE)
-            self.cell_matrices[few] = self.basis @ normal_matrix(sums.moments[few]) @ self.basis.T
+        self._moments = sums.moments
         self.tiles = tile_of_cells(sums.cells, TILE)  # (C,)
-        self.tile_matrices = sum_over_tiles(self.cell_matrices, self.tiles)
+        self.tile_matrices = self.basis @ normal_matrix(sum_over_tiles(sums.moments, self.tiles)) @ self.basis.T
         self._steps: dict[tuple[str, str], ModelStep] = {}
         self._halves: dict[str, FloatArray] = {}
         self._mixed: tuple[Noise, FloatArray] | None = None
 
     @cached_property
-    def kernels(self) -> list[FloatArray]:
-        """Correlation (C, C) of each kernel: averaged over the patches of two cells, or over the pairs in one cell."""
-        kernels = []
-        for length, near in zip(self.lengths, self._near.T, strict=True):
-            squared = length**2 + self._within
-            kernel = length**2 / squared * np.exp(-self._apart / (2 * squared))
+    def kernels(self) -> FloatArray:
+        """Correlations (J, C, C) of each kernel: averaged over the patches of two cells, or over the pairs in one."""
+        kernels, squared = np.empty((len(self.lengths), *self._apart.shape)), np.empty_like(self._apart)
+        for kernel, length, near in zip(kernels, self.lengths, self._near.T, strict=True):
+            np.add(self._within, length**2, out=squared)
+            np.multiply(squared, -2, out=kernel)
+            np.divide(self._apart, kernel, out=kernel)
+            np.maximum(kernel, _MIN_EXPONENT, out=kernel)
+            np.exp(kernel, out=kernel)
+            kernel *= np.divide(length**2, squared, out=squared)
             np.fill_diagonal(kernel, near)
-            kernels.append(kernel)
         return kernels
+
+    def squares_per_cell(self, coefficients: FloatArray) -> FloatArray:
+        """Return the sums (C,) of w (n . u)^2 over the pairs in each cell, for a field with coefficients (60,)."""
+        products = form_of_moments(self.basis.T @ coefficients)
+        squares: FloatArray = self._moments.reshape(len(self._moments), -1) @ products.ravel()
+        return squares
 
     def mixture(self, noise: Noise) -> FloatArray:
         """Covariance (C, C) of the correlated noise between the means of cells."""
@@ -156,14 +164,15 @@ class Geometry:
         return self._mixed[1]
 
     def covariance(self, step: ModelStep, noise: Noise) -> FloatArray:
-        """Covariance (K, K) of a step's modes under a noise."""
+        """Covariance (K, K) of a step's modes under a noise; the last one of a step is kept."""
         responses, size = step.responses, step.modes.shape[1]
         if size == 0:
             return np.zeros((0, 0))
-        spread = self.mixture(noise) @ responses.reshape(len(responses), -1)
-        correlated: FloatArray = responses.reshape(-1, size).T @ spread.reshape(-1, size)
-        total: FloatArray = noise.white * step.white + correlated
-        return total
+        if step.covariance is None or step.covariance[0] is not noise:
+            spread = self.mixture(noise) @ responses.reshape(len(responses), -1)
+            correlated: FloatArray = responses.reshape(-1, size).T @ spread.reshape(-1, size)
+            step.covariance = noise, noise.white * step.white + correlated
+        return step.covariance[1]
 
     def step(self, smaller: str, larger: str) -> ModelStep:
         """Step from a smaller to a larger model, cached."""
@@ -232,23 +241,21 @@ class Geometry:
         squares = load.reshape(count, 9) @ load.reshape(count, 9).T
         distances = np.sqrt(self._apart) / self.side
         np.fill_diagonal(distances, 0.0)
-        rows, masks = [], []
-        kept = np.ones(len(self.lengths))
-        for low, high in pairwise(_LAGS):
-            mask = ((distances > low) & (distances <= high)).astype(np.float64)
-            dz = (mask @ z.reshape(count, -1)).reshape(z.shape)
+        masks = [(distances > low) & (distances <= high) for low, high in pairwise(_LAGS)]
+        by_white, products = [], np.empty((len(masks), count, count))
+        for mask, product in zip(masks, products, strict=True):
+            dz = (mask.astype(np.float64) @ z.reshape(count, -1)).reshape(z.shape)
             inner = z.reshape(-1, z.shape[2]).T @ dz.reshape(-1, z.shape[2])
-            half = np.einsum("cij,cje->cie", load, dz) - 0.5 * q @ inner
-            taken = half.reshape(count, -1) @ q.reshape(count, -1).T
-            product = mask * squares - taken - taken.T
+            half = load @ dz - 0.5 * q @ inner
+            # The kernels are symmetric, so that the transposed part adds the same.
+            np.matmul((-2 * half).reshape(count, -1), q.reshape(count, -1).T, out=product)
+            product += mask * squares
             own = float(np.diag(mask) @ np.trace(self.white_information, axis1=1, axis2=2))
-            by_white = own - 2 * float((dz * white).sum()) + float((inner * spread).sum())
-            rows.append([by_white, *(float(np.einsum("cd,cd->", product, kernel)) for kernel in self.kernels)])
-            if low < 0:
-                within = [float(np.diag(squares) @ np.diag(kernel)) for kernel in self.kernels]
-                kept = np.array(rows[0][1:]) / np.maximum(within, 1e-300)
-            masks.append(mask > 0)
-        return np.array(rows), masks, kept
+            by_white.append(own - 2 * float((dz * white).sum()) + float((inner * spread).sum()))
+        kernels = self.kernels.reshape(len(self.kernels), -1)
+        by_kernel = products.reshape(len(products), -1) @ kernels.T
+        within = self._near.T @ np.diag(squares)
+        return np.column_stack([by_white, by_kernel]), masks, by_kernel[0] / np.maximum(within, 1e-300)
 
 
 class Scores:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.deformation.blocks import noise_sizes, share_with_weight, smooth
+from pcbench.deformation.blocks import Blocks, noise_sizes
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.result import RESOLUTION_SHARE
 from pcbench.deformation.sides import MIN_PAIRS, Side
@@ -245,7 +245,8 @@ def _graduated_fit(
         if weighted is None or not weighted.weights.any():
             return None
         pairs = weighted
-        field = field.fit(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
+        frame = field.frame(pairs.queries, pairs.noise)
+        field = field.fit(frame, pairs.normals, pairs.residuals, pairs.weights)
         narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
     return pairs, field
@@ -302,13 +303,13 @@ def _squared_ratios(remainders: FloatArray, width: FloatArray) -> FloatArray:
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places, spacings = _local_means(surface, pairs.closest)
-    quality = pairs.quality
+    quality, blocks = pairs.quality, Blocks.of(pairs.queries)
     field, fitted, remainders = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(remainders, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function remainder * (1 - squared)^2
-    mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
+    mean_slope = np.maximum(blocks.smooth(slopes, quality), _MIN_INFLUENCE_SLOPE)
     limited = remainders * np.square(1 - squared) / mean_slope  # Huber 1981, section 7.10
-    power = _powers(pairs, np.square(limited))
+    power = _powers(pairs, blocks, np.square(limited))
     weights, areas = quality * mean_slope, _areas(pairs.queries)
     return Pairs(
         places,
@@ -321,7 +322,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         quality=quality,
         areas=areas,
         inliers=float(np.average(squared < 1, weights=quality)),
-        share=share_with_weight(pairs.queries, quality * (squared < 1), areas),
+        share=blocks.share_with_weight(quality * (squared < 1), areas),
         rough=float(np.mean(pairs.variation > _MAX_VARIATION)),
         spacing=surface.spacing,
         plane_spacing=math.sqrt(np.average(np.square(spacings), weights=weights)) if weights.any() else surface.spacing,
@@ -330,7 +331,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     )
 
 
-def _powers(pairs: _PlanePairs, squares: FloatArray) -> FloatArray:
+def _powers(pairs: _PlanePairs, blocks: Blocks, squares: FloatArray) -> FloatArray:
     """Return the local means (N,) of squared residuals (N,), apart for exact planes and for measured surface.
 
     Both lie side by side where walls of a model stand on scanned ground, and one mean is right for neither.
@@ -338,7 +339,7 @@ def _powers(pairs: _PlanePairs, squares: FloatArray) -> FloatArray:
     power, is_exact = np.empty(len(squares)), pairs.variation <= _EXACT_VARIATION
     for part in (is_exact, ~is_exact):
         if part.any():
-            power[part] = smooth(pairs.queries, squares, pairs.quality * part)[part]
+            power[part] = blocks.smooth(squares, pairs.quality * part)[part]
     return power
 
 
@@ -371,11 +372,11 @@ def _fit_frozen_pairs(
 
     Damping is minimal, because no further closest points are searched.
     """
-    weights = pairs.weights
+    weights, frame = pairs.weights, field.frame(places, pairs.noise)
     remainders = np.full(len(pairs.residuals), np.inf)
     for _ in range(_MAX_FINAL_FITS):
-        field = field.fit(places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION)
-        fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
+        field = field.fit(frame, pairs.normals, pairs.residuals, weights, _FINAL_HALF_DAMPED_INFORMATION)
+        fitted: FloatArray = np.einsum("ni,ni->n", field.from_monomials(frame.values), pairs.normals)
         before, remainders = remainders, pairs.residuals - fitted
         if np.abs(remainders - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
             break

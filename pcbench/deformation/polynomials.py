@@ -38,6 +38,13 @@ _RECURRENCE = [
 ]
 # (20, 20) -> 84: the product of two monomials
 _PRODUCT_INDEX = np.array([[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])
+# (20, 3): the monomial whose multiple is the derivative along each axis; any one where the derivative is zero
+_DERIVATIVES = np.array(
+    [
+        [_MONOMIAL_INDEX[tuple(max(p - (k == axis), 0) for k, p in enumerate(powers))] for axis in range(3)]
+        for powers in EXPONENTS.tolist()
+    ]
+)
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
 _DIGIT = 2.0**20  # base of digits: a sum of 4,096 products of two of them stays below 2^53
 _EXACT_PAIRS = 4_096
@@ -147,6 +154,15 @@ def translation_columns(moments: FloatArray) -> FloatArray:
     return columns
 
 
+def form_of_moments(coefficients: FloatArray) -> FloatArray:
+    """Return (84, 6) factors of moments whose sum of products is the quadratic form of `normal_matrix` at (60,)."""
+    field = coefficients.reshape(len(EXPONENTS), 3)
+    factors = np.zeros((len(_PRODUCTS), 6))
+    where = _PRODUCT_INDEX[:, :, None, None], _SYMMETRIC_INDEX[None, None]
+    np.add.at(factors, where, field[:, None, :, None] * field[None, :, None, :])
+    return factors
+
+
 def gram_matrix(moments: FloatArray) -> FloatArray:
     """Return the Gram matrix (20, 20) of the monomials, sums of w phi_a phi_b, using that n n' has trace one."""
     sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT_INDEX]
@@ -155,14 +171,8 @@ def gram_matrix(moments: FloatArray) -> FloatArray:
 
 def mean_squared_gradients(squares: FloatArray) -> FloatArray:
     """Return (20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
-    row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
-    integrals = np.zeros(len(EXPONENTS))
-    for number, powers in enumerate(EXPONENTS.tolist()):
-        for axis in range(3):
-            if powers[axis]:
-                lower = row[tuple(p - (k == axis) for k, p in enumerate(powers))]
-                integrals[number] += powers[axis] ** 2 * squares[lower, lower]
-    return integrals
+    gradients: FloatArray = (np.square(EXPONENTS) * np.diag(squares)[_DERIVATIVES]).sum(axis=1)
+    return gradients
 
 
 def model_columns(model: str) -> FloatArray:

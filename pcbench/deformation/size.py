@@ -31,7 +31,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
     rms, ci = _root_mean_square(modes, covariance, np.eye(len(modes)) / geometry.total)
     surface_form, surface_ci = _root_mean_square(modes, covariance, geometry.surface_form(step))
     coefficients = step.modes @ modes
-    per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
+    per_cell = geometry.squares_per_cell(coefficients)
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
     enough = weight >= 0.1 * np.median(weight)
@@ -113,15 +113,15 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
     return min(geometry.total, geometry.total * variance * len(covariance) / max(float(np.trace(covariance)), 1e-300))
 
 
-def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
+def minimum_detectable_rms(geometry: Geometry, null: NullDistribution) -> float | None:
     """RMS of the smallest dome that is detected with power `DETECTION_POWER`; None if domes are not observable."""
     kind = _Kind.of(geometry, "dome")
-    return None if kind is None else kind.rms * _NullDistribution.of(geometry, noise).detectable_factor(kind)
+    return None if kind is None else kind.rms * null.detectable_factor(kind)
 
 
-def detectable_sizes(geometry: Geometry, noise: Noise, stated: float) -> tuple[DetectableSize, ...]:
+def detectable_sizes(geometry: Geometry, null: NullDistribution, stated: float) -> tuple[DetectableSize, ...]:
     """Return the smallest detectable size of each kind of deformation, at least the smallest one that is `stated`."""
-    null, sizes = _NullDistribution.of(geometry, noise), []
+    sizes = []
     for name in KINDS:
         kind = _Kind.of(geometry, name)
         factor = math.inf if kind is None else null.detectable_factor(kind)
@@ -152,14 +152,15 @@ class _Kind(NamedTuple):
         return cls(modes, math.sqrt(power / geometry.total), math.sqrt(length))
 
 
-class _NullDistribution(NamedTuple):
+class NullDistribution(NamedTuple):
     """Distribution of the test statistic under noise alone: the covariance of the modes, and the critical value."""
 
     covariance: FloatArray
     limit: float
 
     @classmethod
-    def of(cls, geometry: Geometry, noise: Noise) -> _NullDistribution:
+    def of(cls, geometry: Geometry, noise: Noise) -> NullDistribution:
+        """Return the distribution for the step from the affine to the cubic model."""
         covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
         weights = np.linalg.eigvalsh(covariance).astype(np.float64)
         return cls(covariance, chi_squares_quantile(MAX_P_SIGNIFICANT, weights))

@@ -171,6 +171,7 @@ def kernel_sums(
     size, first = np.repeat(counts, counts), np.repeat(starts, counts)
     mine = np.arange(len(places)) - first
     sums: FloatArray = np.repeat(np.square(loads)[:, None], len(lengths), axis=1)
+    terms = np.empty_like(sums)
     others = np.maximum(size - 1, 1)
     partners = min(partners, int(counts.max()) - 1)
     for number in range(partners):
@@ -180,7 +181,10 @@ def kernel_sums(
         counted = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
         counted *= (size - 1) / partners
         squared = np.square(places - places[partner]).sum(axis=1)
-        sums += counted[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
+        np.divide(-0.5 * squared[:, None], np.square(lengths), out=terms)
+        np.exp(terms, out=terms)
+        terms *= counted[:, None]
+        sums += terms
     return sums
 
 
@@ -227,9 +231,11 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
 
 def group_rows(cells: IntArray) -> tuple[IntArray, IntArray]:
     """Return an order (N,) that sorts equal rows together, and the start of each group."""
-    order = np.lexsort(cells.T[::-1])
-    changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
-    return order, np.flatnonzero(np.concatenate([[True], changed]))
+    corner = cells.min(axis=0)
+    _, rows, layers = cells.max(axis=0) - corner + 1
+    keys = (cells - corner) @ [rows * layers, layers, 1]
+    order = np.argsort(keys, kind="stable")
+    return order, np.flatnonzero(np.diff(keys[order], prepend=-1))
 
 
 def tile_of_cells(cells: IntArray, factor: int) -> IntArray:

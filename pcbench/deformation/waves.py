@@ -119,27 +119,41 @@ def _wave_numbers(most: float) -> FloatArray:
 
 
 class _Waves(NamedTuple):
-    """Complex waves at N positions: products of F factors along the first axis and S along the second."""
+    """Complex waves at N positions: products of factors along both axes, whose wave numbers are multiples of a step.
 
-    first: NDArray[np.complex128]  # (F, N)
-    second: NDArray[np.complex128]  # (N, S)
-    rows: tuple[IntArray, IntArray]  # (M,) factors of each wave
+    Waves along opposite directions of the first axis share the real and the imaginary part of a factor.
+    """
+
+    first: FloatArray  # (2 F, N) cosines, and sines, of the multiples 0 to F - 1
+    second: FloatArray  # (N, 2 S) cosines and sines of the multiples 0 to S - 1, alternating
+    multiples: IntArray  # (M, 2) of each wave; those of the second axis are not negative
 
     @classmethod
     def of(cls, across: FloatArray, numbers: FloatArray) -> _Waves:
-        """Return waves of the numbers (M, 2) at positions (N, 2)."""
-        first, of_first = np.unique(numbers[:, 0], return_inverse=True)
-        second, of_second = np.unique(numbers[:, 1], return_inverse=True)
-        return cls(
-            np.exp(-2j * np.pi * np.outer(first, across[:, 0])),
-            np.exp(-2j * np.pi * np.outer(across[:, 1], second)),
-            (of_first, of_second),
-        )
+        """Return waves of the numbers (M, 2), multiples of the step, at positions (N, 2)."""
+        multiples = np.rint(numbers / _STEP).astype(np.int64)
+        first, second = (_powers(across[:, axis], 1 + int(np.abs(multiples[:, axis]).max())) for axis in range(2))
+        return cls(np.concatenate([first.real, first.imag]), second.T.copy().view(np.float64), multiples)
 
     def spectrum(self, values: FloatArray) -> NDArray[np.complex128]:
         """Return the sums (M,), complex, of values (N,) times each wave."""
-        spectrum: NDArray[np.complex128] = ((self.first * values) @ self.second)[self.rows]
+        by_cosine, by_sine = np.split((self.first @ (self.second * values[:, None])).view(np.complex128), 2)
+        of_first, of_second = self.multiples.T
+        places, signs = (np.abs(of_first), of_second), np.sign(of_first)
+        spectrum: NDArray[np.complex128] = by_cosine[places] + 1j * signs * by_sine[places]
         return spectrum
+
+
+def _powers(places: FloatArray, count: int) -> NDArray[np.complex128]:
+    """Return the waves (count, N) of 0, 1, 2, ... steps at places (N,): powers of the first, by repeated doubling."""
+    waves = np.ones((count, len(places)), dtype=np.complex128)
+    step = np.exp(-2j * np.pi * _STEP * places)
+    done = 1
+    while done < count:
+        more = min(done, count - done)
+        np.multiply(waves[:more], step, out=waves[done : done + more])
+        step, done = step * step, 2 * done
+    return waves
 
 
 def _taper(across: FloatArray) -> FloatArray:
@@ -161,7 +175,8 @@ def _refined(across: FloatArray, values: FloatArray, number: FloatArray) -> Floa
     """Return the wave number near a given one at which the power is largest, to an eighth of a step."""
     for step in (_STEP / 2, _STEP / 4, _STEP / 8):
         near = number + step * np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
-        number = near[int(np.argmax(np.abs(_Waves.of(across, near).spectrum(values))))]
+        powers = [abs(np.exp(-2j * np.pi * (across @ each)) @ values) for each in near]
+        number = near[int(np.argmax(powers))]
     return number
 
 

@@ -5,7 +5,7 @@ import pytest
 from bent_clouds import verdict
 from wording import check_text
 
-from pcbench.deformation.blocks import noise_sizes, share_with_weight
+from pcbench.deformation.blocks import Blocks, noise_sizes
 
 NOISE = 0.02
 
@@ -116,5 +116,5 @@ def test_share_counts_blocks_with_weight():
     rng = np.random.default_rng(5)
     places = np.column_stack([rng.uniform(0, 100, (20_000, 2)), np.zeros(20_000)])
     weights = np.where(places[:, 0] < 60, 1.0, 0.01)
-    assert share_with_weight(places, weights, np.ones(20_000)) == pytest.approx(0.6, abs=0.06)
-    assert share_with_weight(places, np.ones(20_000), np.ones(20_000)) == pytest.approx(1.0)
+    assert Blocks.of(places).share_with_weight(weights, np.ones(20_000)) == pytest.approx(0.6, abs=0.06)
+    assert Blocks.of(places).share_with_weight(np.ones(20_000), np.ones(20_000)) == pytest.approx(1.0)

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from wording import check_error
 
-from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
+from pcbench.deformation.displacement import Displacement
+from pcbench.deformation.polynomials import (
+    PARAMETERS,
+    form_of_moments,
+    model_columns,
+    monomials,
+    normal_equations,
+    normal_matrix,
+)
 
 
 def test_moments_contain_the_normal_equations_of_a_cubic_field():
@@ -20,6 +28,26 @@ def test_moments_contain_the_normal_equations_of_a_cubic_field():
         # Sums of fifty terms of size one.
         np.testing.assert_allclose(normal_matrix(moments[group]), matrix, atol=1e-12)
         np.testing.assert_allclose(scores[group].ravel(), design[rows].T @ (weights * residuals)[rows], atol=1e-12)
+
+
+def test_a_quadratic_form_follows_from_the_moments():
+    rng = np.random.default_rng(1)
+    moments, coefficients = rng.normal(size=(84, 6)), rng.normal(size=60)
+    form = coefficients @ normal_matrix(moments) @ coefficients
+    assert (moments * form_of_moments(coefficients)).sum() == pytest.approx(form, abs=1e-10)  # 3,600 terms of size one
+
+
+def test_a_weakly_damped_fit_recovers_a_cubic_field():
+    rng = np.random.default_rng(2)
+    places, normals = rng.uniform(-5, 5, (3_000, 3)), rng.normal(size=(3_000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    zero = Displacement.zero(np.zeros(3), 5.0)
+    field = zero._replace(coefficients=rng.normal(size=(20, 3)))
+    residuals, frame = np.einsum("ni,ni->n", field(places), normals), zero.frame(places, 0.0)
+    fitted = zero.fit(frame, normals, residuals, np.ones(3_000), 1e-9)
+    # Damping takes (1e-9 / 0.1)^2 of each part, whose information is at least a tenth; rounding takes more.
+    np.testing.assert_allclose(fitted(places), field(places), atol=1e-9)
+    np.testing.assert_allclose(fitted.from_monomials(frame.values), fitted(places), atol=1e-12)
 
 
 def test_invalid_groups_are_refused():

@@ -5,7 +5,7 @@ import pytest
 from bends import SIZE, Cell, Scene, bends
 
 from pcbench.deformation.model import Noise
-from pcbench.deformation.size import minimum_detectable_rms
+from pcbench.deformation.size import NullDistribution, minimum_detectable_rms
 
 NOISE = Cell("gauss", 40)  # white and correlated in equal parts, over 5 m of 200 m
 KINDS = tuple(bends(np.zeros((1, 3)), SIZE))
@@ -77,7 +77,7 @@ def test_simple_deformations_select_simple_models(scene, waves, model):
 @pytest.mark.slow
 def test_dome_of_minimum_detectable_size_is_usually_detected(scene, waves):
     noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
-    limit = minimum_detectable_rms(scene.geometry, noise)
+    limit = minimum_detectable_rms(scene.geometry, NullDistribution.of(scene.geometry, noise))
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
 
     def detected_share(size):

@@ -12,7 +12,7 @@ from wording import check_text
 
 from pcbench import Cloud, read_cloud
 from pcbench.deformation import Side, deform, residual_deformation
-from pcbench.deformation.blocks import noise_sizes, smooth
+from pcbench.deformation.blocks import Blocks, noise_sizes
 from pcbench.deformation.field import _largest_group, _null_scale
 from pcbench.deformation.sums import kernel_sums
 from pcbench.errors import Notice
@@ -132,7 +132,7 @@ def test_sizes_of_uneven_noise_are_recovered():
     true_sizes = 0.05 * 2 ** (positions[:, 0] / 100)
     residuals = true_sizes * rng.normal(size=20_000)
     weights = np.ones(20_000)
-    estimated_sizes = np.sqrt(smooth(positions, np.square(residuals), weights))
+    estimated_sizes = np.sqrt(Blocks.of(positions).smooth(np.square(residuals), weights))
     assert np.max(np.abs(estimated_sizes / true_sizes - 1)) < 0.25
     in_moved_part = np.hypot(*(positions[:, :2] - 30).T) < 25  # a twentieth of the scene
     residuals[in_moved_part] += 10.0

@@ -119,6 +119,7 @@ import numpy as np
 sys.path[:0] = {path!r}
 from point_shapes import SHAPES
 from pcbench.native import _core
+from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.neighbors import Index, match_both_directions
 
 digest = hashlib.sha256()
@@ -134,6 +135,8 @@ for shape in SHAPES:
     results += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
     results += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
     results += [index.query_index_with_ties(Index(b), slack)[1:] for slack in ((0.01 * extent) ** 2, 1e-8)]
+    unit = rng.uniform(-1, 1, (1_003, 3))
+    results += [normal_equations(unit, unit[::-1], unit[:, 0], unit[:, 1], np.array([0, 17, 17, 400]))]
     for result in results:
         for array in result:
             digest.update(array.tobytes())

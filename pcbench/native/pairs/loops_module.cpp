@@ -12,9 +12,10 @@
 #include "common/arrays.h"
 #include "common/order_statistics.h"
 #include "pairs/exact_sums.h"
+#include "pairs/monomials.h"
 #include "pairs/pairs.h"
-#include "pairs/polynomials.h"
 #include "points/cells.h"
+#include "points/kernels.h"
 #include "points/normals.h"
 
 namespace {
@@ -170,9 +171,9 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
     nb::gil_scoped_release release;
 #pragma omp parallel for schedule(dynamic) if (groups > 1 && count > pcbench::kMinParallelPairs / 8)
     for (size_t g = 0; g < groups; ++g)
-        pcbench::normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
-                                  residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
-                                  scores.data() + g * pcbench::kMonomials * 3);
+        pcbench::kernels().normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
+                                            residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
+                                            scores.data() + g * pcbench::kMonomials * 3);
 }
 
 }  // namespace

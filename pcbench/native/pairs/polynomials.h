@@ -1,46 +1,56 @@
-// Sums in the normal equations of a polynomial displacement field.
+// Sums in the normal equations of a polynomial displacement field. Included once per instruction set, see
+// points/kernels_isa.h.
 #pragma once
-#include <algorithm>
-#include <array>
-#include <cstddef>
-#include <cstdint>
+#include "common/simd.h"
+#include "pairs/monomials.h"
 
-namespace pcbench {
+namespace pcbench::PCB_ISA {
 
-constexpr size_t kMonomials = 20;  // monomials of three variables up to degree three
-constexpr size_t kProducts = 84;   // monomials up to degree six, which include all products of two of the former
-
-// Each monomial but the first is an earlier one times the coordinate of an axis.
-struct MonomialStep {
-    int64_t earlier, axis;
-};
-
-// For the pairs in [begin, end): moments (84, 6), sums of w phi n n', and scores (20, 3), sums of w phi n r.
+// For the pairs in [begin, end): moments (84, 6), sums of w phi n n', and scores (20, 3), sums of w phi n r. Each sum
+// adds the pairs in their order.
 inline void normal_equations(size_t begin, size_t end, const double* positions, const double* normals,
                              const double* weights, const double* residuals, const MonomialStep* steps, double* moments,
                              double* scores) {
     constexpr size_t kRow[6] = {0, 1, 2, 0, 0, 1}, kColumn[6] = {0, 1, 2, 1, 2, 2};
-    // Transposed, so that the inner loops run over monomials.
-    std::array<std::array<double, kProducts>, 6> moment_sums{};
-    std::array<std::array<double, kMonomials>, 3> score_sums{};
-    std::array<double, kProducts> values;
-    values[0] = 1.0;
-    for (size_t i = begin; i < end; ++i) {
-        const double *x = positions + 3 * i, *n = normals + 3 * i, w = weights[i];
-        for (size_t a = 1; a < kProducts; ++a) values[a] = values[steps[a - 1].earlier] * x[steps[a - 1].axis];
-        for (size_t k = 0; k < 6; ++k) {
-            const double outer = w * n[kRow[k]] * n[kColumn[k]];
-            for (size_t a = 0; a < kProducts; ++a) moment_sums[k][a] += values[a] * outer;
+    // The lanes of a sum are the six moments and two of the scores, those of a factor one pair's products with a
+    // monomial. Monomials of several pairs are computed at once, with pairs as lanes.
+    static_assert(kLanes == 8, "the lanes are six moments and two scores");
+    Vector sums[kProducts];
+    double third[kMonomials] = {};  // the third score
+    for (Vector& sum : sums) sum = splat(0.0);
+    for (size_t start = begin; start < end; start += kLanes) {
+        const size_t count = min_size(kLanes, end - start);
+        double values[kProducts][kLanes], coordinates[3][kLanes] = {}, third_factors[kLanes];
+        Vector factors[kLanes];
+        for (size_t p = 0; p < count; ++p) {
+            const double *x = positions + 3 * (start + p), *n = normals + 3 * (start + p), w = weights[start + p];
+            const double weighted = w * residuals[start + p];
+            double lanes[kLanes];
+            for (size_t k = 0; k < 6; ++k) lanes[k] = w * n[kRow[k]] * n[kColumn[k]];
+            for (size_t k = 0; k < 2; ++k) lanes[6 + k] = n[k] * weighted;
+            factors[p] = load(lanes);
+            third_factors[p] = n[2] * weighted;
+            for (size_t axis = 0; axis < 3; ++axis) coordinates[axis][p] = x[axis];
         }
-        for (size_t k = 0; k < 3; ++k) {
-            const double residual = n[k] * (w * residuals[i]);
-            for (size_t a = 0; a < kMonomials; ++a) score_sums[k][a] += values[a] * residual;
+        store(values[0], splat(1.0));
+        for (size_t a = 1; a < kProducts; ++a)
+            store(values[a], load(values[steps[a - 1].earlier]) * load(coordinates[steps[a - 1].axis]));
+        for (size_t a = 0; a < kProducts; ++a) {
+            Vector sum = sums[a];
+            for (size_t p = 0; p < count; ++p) sum = sum + splat(values[a][p]) * factors[p];
+            sums[a] = sum;
         }
+        for (size_t a = 0; a < kMonomials; ++a)
+            for (size_t p = 0; p < count; ++p) third[a] += values[a][p] * third_factors[p];
     }
-    for (size_t a = 0; a < kProducts; ++a)
-        for (size_t k = 0; k < 6; ++k) moments[6 * a + k] = moment_sums[k][a];
-    for (size_t a = 0; a < kMonomials; ++a)
-        for (size_t k = 0; k < 3; ++k) scores[3 * a + k] = score_sums[k][a];
+    for (size_t a = 0; a < kProducts; ++a) {
+        double lanes[kLanes];
+        store(lanes, sums[a]);
+        for (size_t k = 0; k < 6; ++k) moments[6 * a + k] = lanes[k];
+        if (a >= kMonomials) continue;
+        for (size_t k = 0; k < 2; ++k) scores[3 * a + k] = lanes[6 + k];
+        scores[3 * a + 2] = third[a];
+    }
 }
 
-}  // namespace pcbench
+}  // namespace pcbench::PCB_ISA

@@ -1,6 +1,7 @@
 // The loops that are compiled once per instruction set, and the choice between them.
 #pragma once
 #include "common/interrupt.h"
+#include "pairs/monomials.h"
 #include "points/tree.h"
 
 namespace pcbench {
@@ -32,6 +33,9 @@ struct Kernels {
                    double* variation, double* distances, int64_t* indices, double* reach, double* const* scratch,
                    Interrupt&);
     size_t (*plane_scratch_bytes)(size_t k);
+    void (*normal_equations)(size_t begin, size_t end, const double* positions, const double* normals,
+                             const double* weights, const double* residuals, const MonomialStep* steps, double* moments,
+                             double* scores);
 };
 
 namespace baseline {

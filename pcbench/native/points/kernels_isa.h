@@ -3,6 +3,7 @@
 // use no function of the standard library except those of <cmath>, and no inline functions of other headers.
 // tests/native/test_instruction_sets.py checks the weak symbols of each unit.
 #pragma once
+#include "pairs/polynomials.h"
 #include "points/kernels.h"
 #include "points/knearest.h"
 #include "points/nearest.h"
@@ -14,7 +15,8 @@ namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), sort_into_leaves, build_upper_levels, nearest, knearest, in_balls,
-                                in_cylinders,       planes,           PlaneScratch::bytes};
+extern const Kernels kernels = {
+    PCB_QUOTE(PCB_ISA), sort_into_leaves, build_upper_levels,  nearest,         knearest, in_balls,
+    in_cylinders,       planes,           PlaneScratch::bytes, normal_equations};
 
 }  // namespace pcbench::PCB_ISA

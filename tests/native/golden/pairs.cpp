@@ -3,7 +3,7 @@
 
 #include "golden.h"
 #include "pairs/exact_sums.h"
-#include "pairs/polynomials.h"
+#include "points/kernels.h"
 
 void golden::pairs() {
     constexpr size_t kCount = 5000;
@@ -39,8 +39,8 @@ void golden::pairs() {
     std::vector<pcbench::MonomialStep> steps;
     for (int64_t a = 0; a + 1 < static_cast<int64_t>(pcbench::kProducts); ++a) steps.push_back({a / 3, a % 3});
     std::vector<double> moments(pcbench::kProducts * 6), scores(pcbench::kMonomials * 3);
-    pcbench::normal_equations(0, kCount, moved.data(), normals.data(), weights.data(), residuals.data(), steps.data(),
-                              moments.data(), scores.data());
+    pcbench::kernels().normal_equations(0, kCount, moved.data(), normals.data(), weights.data(), residuals.data(),
+                                        steps.data(), moments.data(), scores.data());
     Hash("normal_equations").add(moments).add(scores);
     std::vector<int64_t> groups, limbs(3 * pcbench::kLimbs);
     for (size_t i = 0; i < kCount; ++i) groups.push_back(static_cast<int64_t>(i % 3));
