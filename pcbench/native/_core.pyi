@@ -43,6 +43,9 @@ class PointIndex:
         Offsets (N + 1,) and the indices of points, ascending for each cylinder.
         """
 
+def bounds(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu')], upper: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu')]) -> None:
+    """Lowest and highest coordinates (3,) of points, written in place."""
+
 def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
     """
     Number the occupied cubic cells in the order of their first points. The cells (N,) of the points are written
