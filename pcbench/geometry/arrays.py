@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.native import _core
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,10 +24,10 @@ def rounding_bound(points: FloatArray, origin: FloatArray) -> float:
 
 
 def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner (3,) of points (N, 3), N >= 1."""
-    # One axis at a time: several times faster than numpy's reduction of rows of three.
-    columns = [points[:, axis] for axis in range(3)]
-    return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
+    """Lowest and highest corner (3,) of points (N, 3), N >= 1; NaN where a coordinate is NaN."""
+    lower, upper = np.empty(3), np.empty(3)
+    _core.bounds(np.ascontiguousarray(points, np.float64), lower, upper)
+    return lower, upper
 
 
 def even_rows(count: int, most: int) -> IntArray:

@@ -42,7 +42,7 @@ class LocalPlanes(NamedTuple):
         normals: (M, 3) unit vectors, oriented upwards: z > 0; if z is 0, y > 0; if both are 0, x > 0.
         variation: (M,) smallest eigenvalue of the covariance divided by the sum of all three, from 0 to 1/3.
         nearest_other: nearest other point of each point, as from `Index.nearest_other`, without extra cost.
-        reach: (M,) a distance within which exactly the k nearest points lie, except for ties.
+        reach: (M,) distance of the k-th nearest point, the point itself included.
     """
 
     normals: NDArray[np.float64]

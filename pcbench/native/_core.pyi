@@ -32,7 +32,7 @@ class PointIndex:
 
     def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], reach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """
-        Planes through the k nearest points of each point, or of those in rows, the point itself included, with normals oriented upwards, the nearest other point, and a distance that contains only these k points.
+        Planes through the k nearest points of each point, or of those in rows, the point itself included, with normals oriented upwards, the nearest other point, and the distance of the k-th nearest point.
         """
 
     def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
@@ -42,6 +42,9 @@ class PointIndex:
         """
         Offsets (N + 1,) and the indices of points, ascending for each cylinder.
         """
+
+def bounds(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu')], upper: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu')]) -> None:
+    """Lowest and highest coordinates (3,) of points, written in place."""
 
 def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
     """

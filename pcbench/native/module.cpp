@@ -257,7 +257,7 @@ NB_MODULE(_core, m) {
              nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), nb::arg("reach").noconvert(),
              "Planes through the k nearest points of each point, or of those in rows, the point itself included, with"
-             " normals oriented upwards, the nearest other point, and a distance that contains only these k points.")
+             " normals oriented upwards, the nearest other point, and the distance of the k-th nearest point.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
              "Offsets (N + 1,) and the indices of points, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "

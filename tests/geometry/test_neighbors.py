@@ -257,6 +257,7 @@ def test_local_planes_equal_lapack(shape, k):
     assert sine[separated].max(initial=0) < 1e-9
     for got, expected in zip(fits.nearest_other, Index(points).nearest_other(), strict=True):
         np.testing.assert_array_equal(got, expected)
+    np.testing.assert_array_equal(fits.reach, brute_force_nearest(points, points, k)[0][:, -1])
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-6])

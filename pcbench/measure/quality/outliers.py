@@ -46,7 +46,7 @@ def find_outliers(index: Index, copies: float) -> tuple[Outliers, NDArray[np.boo
     mask = np.zeros(len(index), dtype=bool)
     if len(index) < 4 * k:
         return Outliers(0, 0.0), mask
-    reach = index.local_planes(k).reach  # a distance that exactly the k nearest points are within
+    reach = index.local_planes(k).reach
     suspects = np.flatnonzero(reach > _SCREEN_RATIO * _typical(reach))
     step = max(2_000_000 // k, 1)
     for start in range(0, len(suspects), step):

@@ -14,6 +14,7 @@
 #include "pairs/exact_sums.h"
 #include "pairs/monomials.h"
 #include "pairs/pairs.h"
+#include "points/bounds.h"
 #include "points/cells.h"
 #include "points/kernels.h"
 #include "points/normals.h"
@@ -38,6 +39,12 @@ nb::object to_numpy(const std::vector<int64_t>& values) {
     std::copy(values.begin(), values.end(), data);
     nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<int64_t*>(p); });
     return nb::cast(nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(data, {values.size()}, owner));
+}
+
+void bounds(Points points, Out<double, nb::shape<3>> lower, Out<double, nb::shape<3>> upper) {
+    check(points.shape(0) > 0, "bounds: expected at least one point");
+    const nb::gil_scoped_release release;
+    pcbench::bounds(points.data(), points.shape(0), lower.data(), upper.data());
 }
 
 nb::tuple group_by_cell(Points points, double side, In<double, nb::shape<3>> lower, Out<int64_t, nb::shape<-1>> cells) {
@@ -179,6 +186,8 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
 }  // namespace
 
 void bind_loops(nb::module_& m) {
+    m.def("bounds", &bounds, nb::arg("points").noconvert(), nb::arg("lower").noconvert(), nb::arg("upper").noconvert(),
+          "Lowest and highest coordinates (3,) of points, written in place.");
     m.def(
         "group_by_cell", &group_by_cell, nb::arg("points").noconvert(), nb::arg("side"), nb::arg("lower"),
         nb::arg("cells").noconvert(),

@@ -27,8 +27,9 @@ public:
 
 private:
     int32_t coordinate(const double* p, int axis) const {
-        const double cell = std::floor((p[axis] - lower_[axis]) / side_);
-        return static_cast<int32_t>(std::clamp(cell, -2147483648.0, 2147483647.0));
+        const double cell = std::clamp((p[axis] - lower_[axis]) / side_, -2147483648.0, 2147483647.0);
+        const auto truncated = static_cast<int32_t>(cell);
+        return truncated - (cell < truncated);  // std::floor is a function call on older processors
     }
 
     double side_, lower_[3];
@@ -42,9 +43,10 @@ struct OccupiedCells {
 inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
     struct Slot {
         Cell cell;
-        int64_t label;
+        uint32_t label;
     };
-    constexpr Slot kEmpty = {{0, 0, 0}, -1};
+    constexpr uint32_t kNone = UINT32_MAX;
+    constexpr Slot kEmpty = {{0, 0, 0}, kNone};
     constexpr size_t kBatch = 64;  // slots are prefetched together: a single access would wait for memory
     unsigned bits = 10;
     std::vector<Slot> table(size_t{1} << bits, kEmpty);
@@ -52,7 +54,7 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
     const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
     const auto find = [&](const Cell& cell) -> Slot& {
         size_t at = slot_of(cell);
-        while (table[at].label >= 0 && !(table[at].cell == cell)) at = (at + 1) & (table.size() - 1);
+        while (table[at].label != kNone && !(table[at].cell == cell)) at = (at + 1) & (table.size() - 1);
         return table[at];
     };
     const auto grow = [&] {
@@ -60,7 +62,7 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
         old.swap(table);
         bits += 2;
         for (const Slot& slot : old)
-            if (slot.label >= 0) find(slot.cell) = slot;
+            if (slot.label != kNone) find(slot.cell) = slot;
     };
     for (size_t start = 0; start < count; start += kBatch) {
         const size_t size = std::min(kBatch, count - start);
@@ -72,8 +74,8 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
         }
         for (size_t i = 0; i < size; ++i) {
             Slot& slot = find(batch_cells[i]);
-            if (slot.label < 0) {
-                slot = {batch_cells[i], static_cast<int64_t>(cells.first.size())};
+            if (slot.label == kNone) {
+                slot = {batch_cells[i], static_cast<uint32_t>(cells.first.size())};
                 cells.first.push_back(static_cast<int64_t>(start + i));
                 cells.counts.push_back(0);
             }

@@ -27,8 +27,8 @@ struct Kernels {
     void (*in_cylinders)(const Tree&, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
                          double half_length, int64_t* offsets, int64_t* rows, Interrupt&);
     // Queries are points of the tree; `rows` holds their indices, null for all in order. Each thread has its own
-    // scratch memory of plane_scratch_bytes(k). `distances` and `indices` are those of the nearest other point. All k
-    // nearest points lie within `reach`, and no others.
+    // scratch memory of plane_scratch_bytes(k). `distances` and `indices` are those of the nearest other point, and
+    // `reach` is the distance of the k-th nearest point, the query included.
     void (*planes)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k, double* normals,
                    double* variation, double* distances, int64_t* indices, double* reach, double* const* scratch,
                    Interrupt&);

@@ -3,12 +3,12 @@
 #pragma once
 #include "common/interrupt.h"
 #include "common/simd.h"
+#include "points/ranks.h"
 #include "points/tree.h"
 
 namespace pcbench::PCB_ISA {
 
 constexpr size_t kMaxBlockPoints = 64;    // blocks up to this size are sorted by counting ranks, not by partitioning
-constexpr size_t kRanksPerPass = 16;      // ranks counted simultaneously
 constexpr size_t kMinTaskPoints = 16384;  // smaller parts are not worth an OpenMP task
 
 inline int widest_axis(const Item* items, size_t count) {
@@ -116,9 +116,8 @@ inline void sort_block(const Item* items, size_t count, Leaf* leaves) {
     for (size_t i = 0; i < count; ++i)
         keys[i] = static_cast<int32_t>((items[i].p[axis] - low) * scale) * kMaxBlockPoints + static_cast<int32_t>(i);
     for (size_t i = 0; i < count; i += kRanksPerPass) {
-        int32_t rank[kRanksPerPass] = {};
-        for (size_t j = 0; j < count; ++j)
-            for (size_t c = 0; c < kRanksPerPass; ++c) rank[c] += keys[j] < keys[i + c];
+        int32_t rank[kRanksPerPass];
+        count_ranks(keys, count, keys + i, rank);
         for (size_t c = 0; c < kRanksPerPass && i + c < count; ++c) sorted[rank[c]] = items[i + c];
     }
     const size_t left = (count + kFanout - 1) / kFanout / 2 * kFanout;
