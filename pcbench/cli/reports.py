@@ -161,7 +161,9 @@ def compare_and_print(
     if fail_if:
         from pcbench.comparison.rehearsal import rehearse
 
-        check_names(fail_if, rehearse(request.settings), OMITTED_KEYS)
+        untested = "the comparison does not test for deformation (--no-deformation)"
+        absent = {} if request.settings.deformation else {"deformation": untested}
+        check_names(fail_if, rehearse(request.settings), OMITTED_KEYS, absent)
     with steps(quiet) as step:
         outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet))
     for text in warnings(outcome.comparison):

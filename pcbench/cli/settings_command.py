@@ -58,7 +58,7 @@ def _option(name: str, option: Option) -> click.Option:
         is_flag=option.is_flag,
         multiple=option.is_repeatable,
         show_default=option.shows_default,
-        default=option.default if option.shows_default or option.is_flag else None,
+        default=False if option.is_flag else option.default if option.shows_default else None,
     )
 
 

@@ -84,7 +84,9 @@ def compare_in_memory(
         step("reconstructing the reference's surface")
         prepared = prepared.with_poisson_mesh(name)
     reference_side = ReferenceInMemory(prepared, with_cores, candidates, clouds)
-    compared = compare_candidates(reference_side, list(clouds), timings["reference"], step)
+    compared = compare_candidates(
+        reference_side, list(clouds), timings["reference"], step, tests_deformation=settings.deformation
+    )
     return Comparison(settings, prepared.summary(), *compared)
 
 
@@ -321,7 +323,8 @@ def _expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], 
     for cloud in candidates.values():
         both = first + len(cloud) / 1e6
         m3c2_too = 5.0 + 5 * both if "m3c2" in settings.maps else 0.0
-        expected += [0.3 + 3 * both, 0.1 + 0.5 * both, 0.2 + 1 * both + m3c2_too, 1.0 + 4 * both]
+        expected += [0.3 + 3 * both, 0.1 + 0.5 * both, 0.2 + 1 * both + m3c2_too]
+        expected += [1.0 + 4 * both] if settings.deformation else []
     return expected
 
 

@@ -107,8 +107,13 @@ def compare_in_tiles(
             prepared = prepare_reference(steps, stored[REFERENCE], are_small=are_small)
         stages = dict(zip(clouds.candidates, list(stored)[1:], strict=True))
         reference = ReferenceInTiles(steps, prepared, stages, stored, maps)
-        # The steps in tiles announce themselves.
-        compared = compare_candidates(reference, list(stages), timings["reference"], lambda _: None)
+        compared = compare_candidates(
+            reference,
+            list(stages),
+            timings["reference"],
+            lambda _: None,  # the steps in tiles announce themselves
+            tests_deformation=settings.deformation,
+        )
         return Comparison(settings, reference.summary(), *compared, tiling=reference.describe_tiling())
 
 

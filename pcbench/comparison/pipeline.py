@@ -136,6 +136,8 @@ def compare_candidates(
     names: Sequence[str],
     preparation_s: float,
     step: Callable[[str], None],
+    *,
+    tests_deformation: bool,
 ) -> ComparedCandidates:
     """Compare candidates with a prepared reference.
 
@@ -144,6 +146,7 @@ def compare_candidates(
         names: names of the candidates.
         preparation_s: seconds that the preparation of the reference took.
         step: called with a short text before each step that takes time.
+        tests_deformation: whether to test the candidates for deformation.
 
     Raises:
         InputError: no point of a candidate lies in the region.
@@ -151,14 +154,16 @@ def compare_candidates(
     """
     candidates, measurements = [], []
     for name in names:
-        candidate, measurement = _compare_one(reference, name, step)
+        candidate, measurement = _compare_one(reference, name, step, tests_deformation=tests_deformation)
         candidates.append(replace(candidate, timings_s={**candidate.timings_s, "reference": preparation_s}))
         measurements.append(measurement)
     differences = paired_differences(reference.correlation_cells, dict(zip(names, measurements, strict=True)))
     return ComparedCandidates(tuple(candidates), tuple(differences))
 
 
-def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], None]) -> tuple[Candidate, Measurement]:
+def _compare_one(
+    reference: PreparedReference, name: str, step: Callable[[str], None], *, tests_deformation: bool
+) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
     step(f"{name}: registering")
     with record_time(timings, "registration"):
@@ -180,9 +185,11 @@ def _compare_one(reference: PreparedReference, name: str, step: Callable[[str], 
         presets = pair.presets(deviation)
     with record_time(timings, "own_metrics"):
         own = pair.own_metrics()
-    step(f"{name}: testing for deformation")
-    with record_time(timings, "deformation"):
-        deformation = pair.assess_deformation()
+    deformation = Deformation.not_tested()
+    if tests_deformation:
+        step(f"{name}: testing for deformation")
+        with record_time(timings, "deformation"):
+            deformation = pair.assess_deformation()
     with record_time(timings, "budget"):
         budget = pair.split_into_budget(deformation)
     if budget is not None:

@@ -85,6 +85,8 @@ class Comparison(FinishedComparison):
         candidate, window = self[name], Window(off_screen, window_size, background, lighting)
         if scalar == "deformation":
             field = candidate.deformation.field
+            if not candidate.deformation.is_tested:
+                raise InputError(f"{name} was not tested for deformation, so there are no displacements")
             if field is None or not field.displacements.any():
                 raise InputError(f"{name}: no deformation was found, so there are no displacements")
             points = candidate.deviation.points

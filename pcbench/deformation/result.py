@@ -39,6 +39,7 @@ BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share,
 NO_SIZE_LIMIT = "no-size-limit"  # no deformation is found, but one of any size may be there
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
 _CODES_IN_SENTENCE = (BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED)
+_NOT_TESTED = "not tested"
 NEGLIGIBLE_SHARE = 0.4  # share of the noise, white and correlated, below which a deformation is negligible
 RESOLUTION_SHARE = 7.5e-3  # share of the spacing of the points that define the planes: they do not resolve less
 _KINDS_IN_WORDS = {
@@ -58,8 +59,8 @@ class Deformation:
     """Verdict on the deformation of a candidate against the reference, with its size and location.
 
     Attributes:
-        verdict: none, similarity, affine, non-affine or undecided.
-        model: smallest adequate model: rigid, similarity, affine, quadratic or cubic.
+        verdict: none, similarity, affine, non-affine or undecided; `not tested` if the test was not wanted.
+        model: smallest adequate model: rigid, similarity, affine, quadratic or cubic; empty without a test.
         parameters: number of parameters of that model.
         p_value: probability that noise alone explains as much non-affine deformation; the largest over the sets of
             pairs.
@@ -121,9 +122,16 @@ class Deformation:
     changes: tuple[Change, ...] = dataclasses.field(default=(), compare=False, metadata={"json": False})
 
     def __repr__(self) -> str:
+        if not self.is_tested:
+            return f"<Deformation: {self.verdict}>"
         size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
         p = "" if self.p_value is None else f", {_p_value_text(self.p_value)}"
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
+
+    @classmethod
+    def not_tested(cls) -> Deformation:
+        """Return the result where the test was not wanted."""
+        return cls(_NOT_TESTED, "")
 
     @classmethod
     def undecided_because(cls, reason: Notice) -> Deformation:
@@ -152,6 +160,11 @@ class Deformation:
         """
         words = self._verdict_in_words(name, f" {unit}" if unit else "", is_noise)
         return self._reach_in_words() + words + self._origin_in_words()
+
+    @property
+    def is_tested(self) -> bool:
+        """Return whether the deformation was tested."""
+        return self.verdict != _NOT_TESTED
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
@@ -190,6 +203,8 @@ class Deformation:
         return replace(self, verdict="undecided", conditional_verdict=None, warnings=warnings)
 
     def _verdict_in_words(self, name: str, unit: str, is_noise: bool) -> str:
+        if not self.is_tested:
+            return f"{name} was not tested for deformation"
         if self.verdict == "undecided":
             reasons = "; ".join(notice.text for notice in self.warnings if notice.code != BOTH_FROM_PHOTOGRAPHS)
             text = f"{name}: whether it is deformed is undecided: {reasons}"

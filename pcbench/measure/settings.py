@@ -43,8 +43,7 @@ from pcbench.registration.control_points import fit_pairs
 from pcbench.registration.given import absolute_text, method_files
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
-RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints", "metrics")
-"""Settings that are stored only if they are set."""
+_RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints", "metrics", "deformation")
 _THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
 
 
@@ -81,6 +80,8 @@ class Settings:
             tested, see `pcbench.io.check_points`.
         metrics: user-defined metrics: functions of a `pcbench.measure.own_metrics.MeasuredPair`, or their texts such as
             `FILE.py:function`.
+        deformation: whether to test the candidates for deformation, which takes about a third of the time in large
+            clouds and most of it in small ones.
     """
 
     register: Method | Similarity | ArrayLike | str = setting(
@@ -188,6 +189,12 @@ class Settings:
         metavar="WHICH",
         is_repeatable=True,
     )
+    deformation: bool = setting(
+        True,
+        "--no-deformation",
+        "Do not test for deformation, which saves a third of the time in large clouds and most of it in small ones.",
+        parse=lambda flag, is_given: not is_given,
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metrics", check_metrics(self.metrics))
@@ -207,6 +214,8 @@ class Settings:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
         if not isinstance(self.vertices, bool):
             raise InputError(f"expected vertices as True or False, got {self.vertices!r}")
+        if not isinstance(self.deformation, bool):
+            raise InputError(f"expected deformation as True or False, got {self.deformation!r}")
         if self.samples is not None and not (_is_integer(self.samples) and 1 <= self.samples <= MAX_SAMPLES):
             raise InputError(f"expected 1 to {MAX_SAMPLES:,} samples on a mesh, got {self.samples!r}")
         if self.mpeg_peak is not None and not (_is_number(self.mpeg_peak) and 0 < self.mpeg_peak < np.inf):
@@ -258,6 +267,11 @@ class Settings:
         return [*method, *filter(None, (region_file(self.crop), cores, check_points, *code))]
 
     @property
+    def unset(self) -> tuple[str, ...]:
+        """Names of the settings that are stored only if they are set, and are not."""
+        return tuple(name for name in _RARE_SETTINGS if getattr(self, name) == getattr(Settings, name))
+
+    @property
     def own_metrics(self) -> tuple[str | OwnMetric, ...]:
         """User-defined metrics, of which only texts are not yet imported."""
         return check_metrics(self.metrics)
@@ -294,9 +308,8 @@ class Settings:
     def plain(self) -> dict[str, Any]:
         """Return the settings as JSON values: methods and regions as text; rare ones only if they are set."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
-        for name in RARE_SETTINGS:
-            if values[name] in (None, False, ()):
-                del values[name]
+        for name in self.unset:
+            del values[name]
         if self.metrics:
             values["metrics"] = [metric if isinstance(metric, str) else metric.text for metric in self.own_metrics]
         if isinstance(self.m3c2, M3C2Settings):

@@ -56,6 +56,7 @@ _VERDICTS = {  # of one and of several candidates, deformed ones first
     "none": ("is not deformed", "are not deformed"),
     _UNPROVEN: ("shows no deformation as a whole", "show no deformation as a whole"),
     "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
+    "not tested": ("was not tested for deformation", "were not tested for deformation"),
 }
 _DOUBTS = {  # why poses are doubtful, by the code of the warning
     FEW_POINTS: "too few points overlap",

@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 from pcbench.errors import InputError
@@ -118,7 +119,12 @@ class Condition:
         return True if True in groups else None if None in groups else False
 
 
-def check_names(conditions: Iterable[Condition], example: Mapping[str, Any], inner: Sequence[str] = ()) -> None:
+def check_names(
+    conditions: Iterable[Condition],
+    example: Mapping[str, Any],
+    inner: Sequence[str] = (),
+    absent: Mapping[str, str] = MappingProxyType({}),
+) -> None:
     """Check that the names of conditions exist in an example of a document.
 
     Args:
@@ -126,12 +132,15 @@ def check_names(conditions: Iterable[Condition], example: Mapping[str, Any], inn
         example: a JSON object with the keys of the real one. Below null, and in empty lists, any name is accepted, and
             any entry of a list.
         inner: keys that a name may omit, see `number_of`.
+        absent: for each key of the document that has no numbers, the reason.
 
     Raises:
-        InputError: a name does not exist, or has several values.
+        InputError: a name does not exist, has several values, or has no number.
     """
     for condition in conditions:
         for name in condition.names:
+            if reason := absent.get(name.partition(".")[0]):
+                raise InputError(f"--fail-if {condition.text!r}: {reason}")
             try:
                 number_of(example, re.sub(r"\[[^\[\]]*\]", "[0]", name), inner)
             except InputError as error:

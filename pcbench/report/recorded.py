@@ -18,7 +18,7 @@ from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.presets import ALWAYS
-from pcbench.measure.settings import RARE_SETTINGS, Settings
+from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.registration import (
     METHODS,
@@ -49,9 +49,10 @@ _TILING_KINDS: dict[str, Any] = {
 def record(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
-    for name in ("initial", *RARE_SETTINGS):
-        if values[name] in (None, False, ()):
-            del values[name]
+    for name in settings.unset:
+        del values[name]
+    if settings.initial is None:
+        del values["initial"]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):
         values["m3c2"] = _m3c2_record(m3c2)
     return {name: _to_record(value) for name, value in values.items()}

@@ -38,6 +38,14 @@ def test_a_mistake_is_refused_before_the_work(files, run, condition):
     assert not Path("r").exists()
 
 
+def test_conditions_on_an_untested_deformation_are_refused_before_the_work(files, run):
+    options = ("--no-deformation", "--out", "r", "--fail-if", "points > 1e9 or deformation.amplitude.rms > 0.1")
+    code, out, err = run("compare", "ref.ply", "a.ply", *options)
+    assert (code, out, is_one_line(err)) == (2, "", True), err
+    check_text(err)
+    assert not Path("r").exists()
+
+
 def test_check_points_and_changes_have_conditions(files, run):
     Path("points.csv").write_text("name,x,y,z\np1,0,0,0.1\np2,5,5,0.2\np3,-8,9,0.1\n")
     condition = "every.errors.rmse > 1 mm"

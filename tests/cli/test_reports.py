@@ -56,6 +56,24 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
 
 
 @pytest.mark.with_deformation
+def test_without_the_test_for_deformation_other_numbers_stay(report, run):
+    options = ("--no-deformation", "--no-figures", "--out")
+    code, out, err = run("compare", "ref.ply", "a.ply", *options, "untested")
+    assert (code, err) == (0, "")
+    check_text("\n".join(line for line in out.splitlines() if "deform" in line))
+    (tested,), (untested,) = (without_timings(read_comparison(folder))["candidates"] for folder in (report, "untested"))
+    verdict = untested.pop("deformation")
+    assert (verdict["verdict"], verdict["model"], verdict["amplitude"]) == ("not tested", "", None)
+    assert tested.pop("deformation")["noise"] is not None
+    assert tested.pop("budget").keys() == untested.pop("budget").keys()  # the verdict's noise counts as noise
+    assert tested == untested
+    assert "a was not tested for deformation." in Path("untested/report.html").read_text()
+    assert run("compare", "--settings", "untested/settings.json", "-q", "--out", "again")[0] == 0
+    assert Path("again/settings.json").read_bytes() == Path("untested/settings.json").read_bytes()
+    assert read_comparison("again")["candidates"][0]["deformation"] == verdict
+
+
+@pytest.mark.with_deformation
 def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     options = ("--crop", "quantile:0.9", "--register", "similarity", "--thresholds", "0.1,0.3", "--preset", "open3d")
     assert run("compare", "ref.ply", "a.ply", "b.ply", *options, "--seed", 5, "--out", "one")[0] == 0

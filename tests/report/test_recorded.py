@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import shapes
+from wording import check_error
 
 import pcbench
 from pcbench import Cloud, write_cloud
@@ -95,6 +96,15 @@ def test_a_method_with_a_name_is_recorded_by_its_name(method, text):
     values = json.loads(to_json(record(Settings(register=method))))
     assert values["register"] == text
     assert restore({**values, "register": text}).register == text
+
+
+def test_the_test_for_deformation_is_recorded_only_if_it_is_left_out():
+    assert "deformation" not in record(Settings()).keys() | Settings().plain().keys()
+    untested = record(Settings(deformation=False))
+    assert untested["deformation"] is False  # and therefore in the key of a workspace
+    assert not restore(untested).deformation
+    with check_error():
+        Settings(deformation="no")
 
 
 def test_files_are_recorded_by_their_absolute_paths(files, monkeypatch):

@@ -188,7 +188,9 @@ def _deformations(comparison: FinishedComparison) -> list[dict[str, Any]]:
 
 
 def _facts(deformation: Deformation, comparison: FinishedComparison) -> dict[str, str]:
-    """Return the numbers of a verdict by their names."""
+    """Return the numbers of a verdict by their names; none without a test."""
+    if not deformation.is_tested:
+        return {}
     unit, size, noise = comparison.reference.unit, deformation.amplitude, deformation.noise
     rms, sigma, pairs = UNKNOWN, UNKNOWN, UNKNOWN
     if size is not None:

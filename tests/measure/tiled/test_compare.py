@@ -124,6 +124,7 @@ CROPS = {
 CASES = [
     *({"crop": crop} for crop in CROPS.values()),
     {"thresholds": (0.05, 0.3), "seed": 3, "two": True},
+    {"deformation": False, "two": True},
     {"register": "icp"},
     {"register": "similarity"},
     {"register": "points"},
