@@ -1,4 +1,4 @@
-"""Small clouds: scores and complete comparisons beside the two-way search of other libraries: python benchmarks/small.py
+"""Small clouds: scores and comparisons beside the two-way search of other libraries: python benchmarks/small.py
 
 --sizes 2048,10000,100000   points of each cloud
 --threads 1                 number of threads
