@@ -162,10 +162,9 @@ def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
     """
     errors = value_errors[1:] + value_errors[:-1]
     stride = max(1, len(gaps) // _TESTED_GAPS)
-    few, few_errors = gaps[::stride], errors[::stride]
-    for step in sorted(set(_possible_steps(gaps)), reverse=True):
-        if _share_of_multiples(few, few_errors, step) < _MIN_TESTED_SHARE:
-            continue
+    steps = np.array(sorted(set(_possible_steps(gaps)), reverse=True))
+    shares = _share_of_multiples(gaps[::stride], errors[::stride], steps[:, None])
+    for step in map(float, steps[shares >= _MIN_TESTED_SHARE]):
         if _share_of_multiples(gaps, errors, step) < _MIN_SHARE:
             continue
         if len(gaps) + 1 >= _MIN_VALUES:
@@ -175,10 +174,11 @@ def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
     return 0.0
 
 
-def _share_of_multiples(gaps: FloatArray, errors: FloatArray, step: float) -> float:
-    off = np.abs(gaps - np.maximum(np.round(gaps / step), 1.0) * step)
-    is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * step)
-    return np.count_nonzero(is_multiple) / len(gaps)
+def _share_of_multiples(gaps: FloatArray, errors: FloatArray, steps: FloatArray | float) -> FloatArray:
+    """Return the shares (S,) of gaps (M,) that are multiples of each of the steps (S, 1), or of one step."""
+    off = np.abs(gaps - np.maximum(np.round(gaps / steps), 1.0) * steps)
+    is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * steps)
+    return np.asarray(np.count_nonzero(is_multiple, axis=-1) / len(gaps))
 
 
 def _possible_steps(gaps: FloatArray) -> Iterator[float]:

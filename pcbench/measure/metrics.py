@@ -20,7 +20,7 @@ from pcbench.errors import InputError
 from pcbench.geometry import order_statistics
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, match_both_directions
 from pcbench.geometry.voxels import Cells
 from pcbench.measure.plane_sample import PlaneSample
 from pcbench.native import _core
@@ -164,8 +164,8 @@ def distances_between(candidate: Points, reference: Points) -> tuple[FloatArray,
     """
     points = _points(reference)
     origin = np.floor(points.mean(axis=0))  # far from zero, squared coordinates would exceed the precision
-    first, second = Index(_points(candidate) - origin), Index(points - origin)
-    return second.query(first.points).distances, first.query(second.points).distances
+    forth, back = match_both_directions(Index(points - origin), Index(_points(candidate) - origin))
+    return forth.distances, back.distances
 
 
 def mean_square_between(candidate: Points, reference: Points) -> float:
