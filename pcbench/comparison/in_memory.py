@@ -117,6 +117,7 @@ class ReferenceInMemory:
 
     def register(self, name: str) -> PairInMemory:
         """Align a candidate; see `pcbench.measure.pair.align`."""
+        release_free_memory()  # that the reading of files, or the candidate before, left in the heap
         aligned = align(self.prepared, name, self.clouds[name], self.settings)
         return PairInMemory(self.prepared, aligned, self.shapes[name], self.settings, self.thresholds)
 
