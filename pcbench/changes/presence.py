@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from pcbench.geometry.neighbors import Index
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
 _POINTS_PER_REGION = 50
+_BLOCK_POINTS = 8192  # points whose counterparts are counted at a time
 _MIN_DENSITY_SHARE = 0.5  # of the scene's median ratio: a missing object must not hide itself
 
 
@@ -69,17 +71,25 @@ def find_absence(sample: Sample, other: Index) -> Absence:
         sample: sample of one cloud.
         other: sample of the other cloud, without a displacement of the scene.
     """
-    own = sample.near.distances
-    distances = other.query(sample.points, min(own.shape[1], len(other))).distances.reshape(len(sample), -1)
-
-    def count(points: int) -> IntArray:
-        counts: IntArray = (distances <= own[:, points - 1, None]).sum(axis=1)
-        return counts
-
-    density = _density_ratios(sample, count(own.shape[1]) / own.shape[1])
+    most = sample.near.distances.shape[1]
+    *in_balls, in_largest = _counterparts(sample, other, [*(ball.points for ball in BALLS), most])
+    density = _density_ratios(sample, in_largest / most)
     share = density / (1 + density)
-    p = np.stack([_at_most(count(ball.points), ball.points, share) for ball in BALLS])
+    p = np.stack([_at_most(counts, ball.points, share) for counts, ball in zip(in_balls, BALLS, strict=True)])
     return Absence(p[0], p < np.array([[ball.max_p] for ball in BALLS]))
+
+
+def _counterparts(sample: Sample, other: Index, sizes: Sequence[int]) -> IntArray:
+    """Return the numbers (S, N) of the other cloud's points in the balls that reach to the points of these ranks."""
+    own = sample.near.distances
+    counts = np.empty((len(sizes), len(sample)), np.int64)
+    for start in range(0, len(sample), _BLOCK_POINTS):  # to limit memory
+        block = slice(start, start + _BLOCK_POINTS)
+        queries = sample.points[block]
+        distances = other.query(queries, min(own.shape[1], len(other))).distances.reshape(len(queries), -1)
+        for row, size in enumerate(sizes):
+            counts[row, block] = (distances <= own[block, size - 1, None]).sum(axis=1)
+    return counts
 
 
 def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:

@@ -49,9 +49,12 @@ class Sample:
 
     @cached_property
     def near(self) -> Matches:
-        """Nearest other points (N, K) in the sample, with K of at most `NEIGHBORS`."""
+        """Distances (N, K) of the nearest other points in the sample, K of at most `NEIGHBORS`, and the first indices.
+
+        The indices (N, 8) are those over which distances are smoothed: all would take as much memory as the distances.
+        """
         matches = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
-        return Matches(matches.distances[:, 1:], matches.indices[:, 1:])
+        return Matches(matches.distances[:, 1:], matches.indices[:, 1 : 1 + _SMOOTHED_POINTS].copy())
 
     @property
     def reach(self) -> FloatArray:
@@ -60,7 +63,7 @@ class Sample:
 
     def smooth(self, values: FloatArray) -> FloatArray:
         """Return the median (N,) of values (N,) over each point and its nearest ones."""
-        rows = np.column_stack([np.arange(len(self)), self.near.indices[:, :_SMOOTHED_POINTS]])
+        rows = np.column_stack([np.arange(len(self)), self.near.indices])
         medians: FloatArray = np.median(values[rows], axis=1)
         return medians
 

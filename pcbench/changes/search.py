@@ -62,7 +62,7 @@ class SampledChanges:
     def of_points(self, which: int, points: FloatArray) -> NDArray[np.int32]:
         """Return the labels (N,) of points (N, 3) of a cloud: those of the nearest sampled points."""
         if self.samples is None or self.are_stable(which):
-            return np.full(len(points), STABLE, np.int32)
+            return np.broadcast_to(np.int32(STABLE), len(points))  # takes no memory
         labels: NDArray[np.int32] = self.labels[which][self.samples[which].index.query(points).indices]
         return labels
 

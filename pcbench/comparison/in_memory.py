@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -46,6 +46,9 @@ from pcbench.measure.summaries import DirectionSummary, summarize
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums, along_upward_normals
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
+from pcbench.systems import release_free_memory
+
+_BLOCK_QUERIES = 1 << 21  # queries of a raster at a time: sums of smaller blocks take more memory than they save
 
 
 def compare_in_memory(
@@ -116,6 +119,7 @@ class ReferenceInMemory:
 
     def register(self, name: str) -> PairInMemory:
         """Align a candidate; see `pcbench.measure.pair.align`."""
+        release_free_memory()  # that the reading of files, or the candidate before, left in the heap
         aligned = align(self.prepared, name, self.clouds[name], self.settings)
         return PairInMemory(self.prepared, aligned, self.shapes[name], self.settings, self.thresholds)
 
@@ -173,6 +177,11 @@ class PairInMemory:
     def matched(self) -> Matched:
         """Closest points of both directions."""
         return match_pair(self.reference, self.aligned)
+
+    @cached_property
+    def closest(self) -> IntArray:
+        """(M,) reference points closest to the candidate's points inside the region."""
+        return self.matched.forth.indices
 
     def match(self) -> None:
         """Find the closest points of both directions."""
@@ -238,20 +247,26 @@ class PairInMemory:
         """Return the rasters of both maps, with the same values as those in tiles."""
         reference = self.reference
         pixels = PixelGrid.covering(reference.points, *bounds(reference.points), reference.spacing)
-        rows = np.arange(len(reference.points)) if reference.rows is None else reference.rows
 
-        def overview(direction: Direction, tangents: IntArray, sign: int) -> MapOverview:
-            """Return the raster of a direction, whose planes are those at rows (M,) of the reference."""
-            distances, signed = direction.distances, np.full(len(direction.points), np.nan)
+        def sums(direction: Direction, tangents: IntArray | None, sign: int, block: slice) -> PixelSums:
+            """Return the sums of some queries, whose planes are those at rows (M,) of the reference, or at all."""
+            points, distances = direction.points[block], direction.distances
+            signed = np.full(len(points), np.nan)
             if isinstance(distances.to_planes, np.ndarray):
-                normals = reference.surface.compute_normals(tangents)[tangents]
-                signed = sign * along_upward_normals(distances.to_planes, normals)
-            sums = PixelSums.of(pixels, direction.points, distances.to_points, signed)
-            return sums.overview(pixels, reference.origin)
+                normals = reference.surface.compute_normals(tangents)[block if tangents is None else tangents[block]]
+                signed = sign * along_upward_normals(distances.to_planes[block], normals)
+            return PixelSums.of(pixels, points, distances.to_points[block], signed)
+
+        def overview(direction: Direction, tangents: IntArray | None, sign: int) -> MapOverview:
+            """Return the raster of a direction, block by block to limit memory: the sums are exact."""
+            starts = range(0, len(direction.points), _BLOCK_QUERIES)
+            parts = (sums(direction, tangents, sign, slice(start, start + _BLOCK_QUERIES)) for start in starts)
+            total = reduce(lambda first, second: PixelSums.merge([first, second]), parts)
+            return total.overview(pixels, reference.origin)
 
         forth, back = self.directions
         # A point of the reference below the candidate has a negative distance to it.
-        return overview(forth, self.matched.forth.indices, 1), overview(back, rows, -1)
+        return overview(forth, self.closest, 1), overview(back, reference.rows, -1)
 
     def presets(self, deviation: DeviationMap) -> Mapping[str, Preset]:
         """Return the metrics as other tools define them, between clouds cut at the region."""
@@ -290,6 +305,12 @@ class PairInMemory:
             normals, given = (None if n is None else n[rows] for n in (normals, given))
         return pair._replace(normals=normals, raw_normals=given)
 
+    def release_matches(self) -> None:
+        """Release the matches, except the closest points of the reference."""
+        _ = self.closest
+        self.__dict__.pop("matched", None)
+        release_free_memory()
+
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""
         return assess_deformation(self.reference, self.aligned, self.settings.seed, self.local_changes)
@@ -297,7 +318,7 @@ class PairInMemory:
     def split_into_budget(self, deformation: Deformation) -> DirectedBudget | None:
         """Return what D2 consists of; None if it is unknown or estimated from a sample."""
         return split_into_budget(
-            self.reference, self.aligned, self.matched, self.directions, self.local_changes, deformation
+            self.reference, self.aligned, self.closest, self.directions, self.local_changes, deformation
         )
 
     @property

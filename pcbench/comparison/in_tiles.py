@@ -187,7 +187,7 @@ class ReferenceInTiles:
     def correlation_cells(self) -> CorrelationCells:
         """Correlation cells of the intervals, without the cell of each point."""
         grid = self.prepared.grid
-        return CorrelationCells(np.zeros(0, np.int64), grid.shape, grid.side)
+        return CorrelationCells(np.zeros(0, np.int16), grid.shape, grid.side)
 
     def register(self, name: str) -> PairInTiles:
         """Align a candidate; see `pcbench.measure.tiled.alignment.register_on_disk`."""
@@ -422,6 +422,9 @@ class PairInTiles:
     def own_metrics(self) -> OwnResults:
         """Return no user-defined metrics, because they get complete clouds."""
         return OwnResults({}, ())
+
+    def release_matches(self) -> None:
+        """Do nothing: matches are on disk."""
 
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""

@@ -106,6 +106,9 @@ class AlignedPair(Protocol):
     def own_metrics(self) -> OwnResults:
         """Return the user-defined metrics."""
 
+    def release_matches(self) -> None:
+        """Release what only the metrics and maps need, which takes as much memory as the points."""
+
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""
 
@@ -185,6 +188,7 @@ def _compare_one(
         presets = pair.presets(deviation)
     with record_time(timings, "own_metrics"):
         own = pair.own_metrics()
+    pair.release_matches()
     deformation = Deformation.not_tested()
     if tests_deformation:
         step(f"{name}: testing for deformation")

@@ -32,9 +32,12 @@ from pcbench.report.recorded import record
 from pcbench.report.words import memory_text
 from pcbench.tasks.codec import fingerprint
 
-# Measured peaks of `pcbench compare`: 1 and 3 million points per cloud, and three candidates instead of one.
+# Peaks of `pcbench compare`, measured by `benchmarks/memory.py`; small clouds need most in the test for deformation.
 _BASE_BYTES = 100_000_000
-_BYTES_PER_POINT = 240  # of the reference and of the largest candidate
+_BYTES_PER_POINT = 225  # of the reference and of the largest candidate, while distances are measured
+_BYTES_PER_TESTED_POINT = 130  # of both, in the test for deformation
+_BYTES_PER_QUERY = 4_000  # of that test
+_MAX_QUERIES = 30_000  # about; more points have the same number of queries
 _BYTES_PER_FURTHER_POINT = 95  # of the other candidates
 _POINT_BYTES = 24  # x, y and z, which the figures above contain
 _MIN_FILE_BYTES_PER_POINT = 1.0  # no format stores a point in less
@@ -66,8 +69,8 @@ class CloudsOnDisk:
         """Estimated bytes of memory that a comparison in memory needs."""
         largest, *others = sorted((cloud.count for cloud in self.candidates.values()), reverse=True)
         attributes = sum(max(cloud.nbytes_in_memory - _POINT_BYTES * cloud.count, 0) for cloud in self.clouds)
-        points = _BYTES_PER_POINT * (self.reference.count + largest) + _BYTES_PER_FURTHER_POINT * sum(others)
-        return _BASE_BYTES + points + attributes
+        compared = _bytes_of_pair(self.reference.count, largest)
+        return compared + _BYTES_PER_FURTHER_POINT * sum(others) + attributes
 
     def least_memory(self, tiling: TilingSettings, *, draws: bool = False) -> int:
         """Estimated bytes of memory that all processes of a tiled comparison need at least."""
@@ -224,8 +227,14 @@ def _mesh(request: Request) -> str | None:
 
 def _fits_surely(request: Request, memory: int) -> bool:
     """Return whether the sizes of the files alone show that they fit, without a look at their headers."""
-    points = sum(source.nbytes for source in request.sources) / _MIN_FILE_BYTES_PER_POINT
-    return _BASE_BYTES + _BYTES_PER_POINT * points <= memory
+    points = int(sum(source.nbytes for source in request.sources) / _MIN_FILE_BYTES_PER_POINT)
+    return _bytes_of_pair(points, points) <= memory
+
+
+def _bytes_of_pair(reference: int, candidate: int) -> int:
+    """Return the bytes of memory in which two clouds of these numbers of points are compared."""
+    points, queries = reference + candidate, min(reference, candidate, _MAX_QUERIES)
+    return _BASE_BYTES + max(_BYTES_PER_POINT * points, _BYTES_PER_TESTED_POINT * points + _BYTES_PER_QUERY * queries)
 
 
 def _plain_region(region: Any) -> Any:

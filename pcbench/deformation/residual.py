@@ -70,6 +70,7 @@ def residual_deformation(
         notes = [*notes, Notice(BOTH_FROM_PHOTOGRAPHS, "both clouds were reconstructed from photographs")]
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = RESOLUTION_SHARE * pairs.plane_spacing
+    waves = find_waves(pairs)  # before the models, which take as much memory
     wholes = [PairEvidence.of(tile_sums(pairs))]
     evidence = [exclude_moved_cells(wholes[0], resolution)]
     finding = decide(evidence, metric=metric, resolution=resolution)
@@ -93,7 +94,6 @@ def residual_deformation(
             " clouds, or classes without vegetation (--classes)"
         )
         finding = finding.as_undecided(Notice("rough-places", text))
-    waves = find_waves(pairs)
     wave = _stated_wave(waves.wave, evidence[0].noise, resolution)
     if wave is not None:
         plain = search.find(follow=False)  # as for the other models

@@ -85,7 +85,7 @@ class Side:
         rows = np.flatnonzero(self.inside)
         if len(rows) < MIN_PAIRS:
             return None
-        points = self.surface.points[rows]
+        points = self.surface.points if len(rows) == len(self.inside) else self.surface.points[rows]
         side = SPREAD_SIDE * extent(points)
         return rows[voxel_downsample_to(points, count, side)] if side > 0 else None
 

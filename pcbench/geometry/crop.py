@@ -24,7 +24,9 @@ def points_inside(
     Raises:
         InputError: no point lies inside.
     """
-    inside = np.ones(len(points), dtype=np.bool_) if region is None else region.contains(points)
+    if region is None:
+        return np.broadcast_to(np.True_, len(points))  # takes no memory
+    inside = region.contains(points)
     if not inside.any():
         text = requested if isinstance(requested, str) else requested.text
         corners = bounds(points) if origin is None else [corner + origin for corner in bounds(points)]

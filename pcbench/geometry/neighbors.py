@@ -15,6 +15,8 @@ from pcbench.native import _core
 
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions"]
 
+_BLOCK_ROWS = 65_536  # rows that are drawn at a time
+
 
 class Matches(NamedTuple):
     """Nearest points: distances, in the unit of the coordinates, and indices; one row per query."""
@@ -93,7 +95,9 @@ class Index:
 
     def thinned(self, share: float, seed: int) -> "Index":
         """Return an index of a random share, above 0 and below 1, of the points; see `is_kept`."""
-        return Index(self.points[is_kept(np.arange(len(self)), share, seed)])
+        starts = range(0, len(self), _BLOCK_ROWS)  # to limit memory
+        blocks = (np.arange(start, min(start + _BLOCK_ROWS, len(self))) for start in starts)
+        return Index(self.points[np.concatenate([is_kept(block, share, seed) for block in blocks])])
 
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query.

@@ -171,11 +171,13 @@ class Surface:
         """Return the rows of the first point in each occupied cell of an edge length; see `voxel_downsample`."""
         return voxel_downsample(self.points, side)
 
-    def nearest_other(self) -> Matches:
-        """Return the nearest other point of each point; see `Index.nearest_other`."""
-        if self._nearest_other is None:
-            self._nearest_other = self.index.nearest_other()
-        return self._nearest_other
+    def take_nearest_other(self) -> Matches:
+        """Return the nearest other point of each point, see `Index.nearest_other`, and keep them no longer.
+
+        They cost nothing after the normals of all points were computed.
+        """
+        nearest_other, self._nearest_other = self._nearest_other, None
+        return self.index.nearest_other() if nearest_other is None else nearest_other
 
     def _planes(self, rows: IntArray | None) -> LocalPlanes:
         if len(self) < 3:

@@ -92,6 +92,25 @@ class Sampling(NamedTuple):
         return max(self.neighbors(positions), math.ceil(_PLANE_LINES * self.line_neighbors))
 
 
+class NeighborRange(NamedTuple):
+    """Smallest and largest distance from a point of a cloud to its nearest other point, in the coordinates' unit."""
+
+    smallest: float
+    largest: float
+
+    @classmethod
+    def of(cls, nearest_other: Matches | None) -> NeighborRange | None:
+        """Return the range of the distances of `Index.nearest_other`; None if there are none."""
+        if nearest_other is None:
+            return None
+        return cls(float(nearest_other.distances.min()), float(nearest_other.distances.max()))
+
+    @classmethod
+    def within(cls, index: Index) -> NeighborRange | None:
+        """Return the range over all points of an index; None for a single point."""
+        return cls.of(index.nearest_other() if len(index) > 1 else None)
+
+
 def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     """Return the median distance from a point to the nearest point at another position; 0 if there is none.
 

@@ -199,7 +199,11 @@ def sum_queries(
             sums that do not depend on the order of queries and pieces.
     """
     size = FIRST + changes
-    squares = np.bincount(labels + FIRST, np.square(distances), size).astype(np.float64)
+    counts, squares = np.zeros(size, np.int64), np.zeros(size)
+    for start in range(0, len(labels), _CHUNK):
+        groups = labels[start : start + _CHUNK] + FIRST
+        counts += np.bincount(groups, minlength=size)
+        np.add.at(squares, groups, np.square(distances[start : start + _CHUNK]))  # added up in the order of queries
     moments: NDArray[Any] | float = 0.0
     scores: NDArray[Any] | float = 0.0
     stable = np.flatnonzero(labels == STABLE)
@@ -209,7 +213,7 @@ def sum_queries(
         here = (places[rows_of_block] - frame.center) / frame.radius
         of_chunk = equations(here, normals[rows_of_block], distances[queries] / frame.radius)
         moments, scores = moments + of_chunk[0], scores + of_chunk[1]
-    return BudgetSums(np.bincount(labels + FIRST, None, size), squares, np.asarray(moments), np.asarray(scores))
+    return BudgetSums(counts, squares, np.asarray(moments), np.asarray(scores))
 
 
 def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: float | None = None) -> D2Budget:

@@ -12,6 +12,7 @@ from pcbench.geometry.neighbors import Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.measure import floors, metrics
+from pcbench.measure.intervals import CellNumbers
 from pcbench.measure.metrics import Distances
 from pcbench.measure.plane_sample import PlaneSample, sample_planes
 from pcbench.measure.quantity import LENGTH, SQUARED_LENGTH
@@ -77,7 +78,7 @@ class Direction(NamedTuple):
     points: FloatArray
     distances: Distances
     floors: Mapping[str, float | None]
-    cells: IntArray
+    cells: CellNumbers
 
 
 def from_candidate(

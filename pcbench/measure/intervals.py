@@ -15,8 +15,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.voxels import robust_bounds
 
 _CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
@@ -26,6 +27,10 @@ _MIN_VARIANCE_SHARE = 0.2  # minimum share of the variance left after subtractin
 _UNSEEN_PROBABILITY = 0.025  # of exceptions that no query shows
 _POINTS_PER_GAP = 2.0  # queries that fall into one gap of the other cloud
 _MIN_DEGREES_OF_FREEDOM = 2.0  # lower bound of the estimate
+
+
+CellNumbers = NDArray[np.int16]
+"""Numbers of correlation cells: along a diagonal of 28 cells there are about 17 along each axis."""
 
 
 class Interval(NamedTuple):
@@ -38,7 +43,7 @@ class Interval(NamedTuple):
 class CorrelationCells(NamedTuple):
     """A partition of the scene into cubes; the outermost ones include the points beyond the robust bounds."""
 
-    of_point: IntArray  # (N,) the cell of each point of the reference
+    of_point: CellNumbers  # (N,) the cell of each point of the reference
     shape: tuple[int, ...]  # along the three axes
     side: float
 
@@ -95,13 +100,14 @@ class CorrelationGrid(NamedTuple):
         """Number of cells."""
         return math.prod(self.shape)
 
-    def cells_of(self, points: FloatArray) -> IntArray:
+    def cells_of(self, points: FloatArray) -> CellNumbers:
         """Return the number of the cell of each point (N, 3); points outside belong to the outermost cells."""
-        number = np.zeros(len(points), np.int64)
+        number = np.zeros(len(points), np.int16)
         if self.side > 0:
             for axis in range(3):
                 along = np.clip((points[:, axis] - self.lower[axis]) / self.side, 0, self.shape[axis] - 1)
-                number = number * self.shape[axis] + along.astype(np.int64)
+                number *= self.shape[axis]
+                number += along.astype(np.int16)
         return number
 
 

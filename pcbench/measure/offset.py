@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.measure import intervals
-from pcbench.measure.intervals import CorrelationCells, Interval, LinearizedScore
+from pcbench.measure.intervals import CellNumbers, CorrelationCells, Interval, LinearizedScore
 from pcbench.measure.metrics import Distances
 from pcbench.measure.plane_sample import PlaneSample
 
@@ -37,7 +37,7 @@ class SignedOffset(NamedTuple):
         return not self.interval.low <= 0 <= self.interval.high and abs(self.median) >= _MIN_NOISE_SHARE * self.nmad
 
 
-def signed_offset(distances: Distances, cell_of_query: IntArray, cells: CorrelationCells) -> SignedOffset | None:
+def signed_offset(distances: Distances, cell_of_query: CellNumbers, cells: CorrelationCells) -> SignedOffset | None:
     """Return the median offset of the distances candidate → reference; None without distances to planes.
 
     The median is linearised by the density of the distances at it (Bahadur 1966), so that its error adds up over cells

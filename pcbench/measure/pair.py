@@ -17,6 +17,7 @@ from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
+from pcbench.geometry.sampling import NeighborRange
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
 from pcbench.measure.budget import D2Budget, FitFrame, budget, sum_queries
@@ -95,10 +96,9 @@ def match_pair(reference: Reference, aligned: AlignedCandidate) -> Matched:
 def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
     """Crop both clouds to the region and match them, without normals; without a region they are matched as they are."""
     if reference.region is None:
-        return presets.match(reference.index, candidate, reference.nearest_other, None, None)
+        return presets.match(reference.index, candidate, reference.neighbors, None, None)
     cut = Index(reference.measured_points)
-    nearest_other = cut.nearest_other() if len(cut) > 1 else None
-    return presets.match(cut, Index(candidate.points[inside]), nearest_other, None, None)
+    return presets.match(cut, Index(candidate.points[inside]), NeighborRange.within(cut), None, None)
 
 
 def measure_directions(
@@ -136,12 +136,21 @@ def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: in
 def split_into_budget(
     reference: Reference,
     aligned: AlignedCandidate,
-    matched: Matched,
+    closest: IntArray,
     directions: tuple[Direction, Direction],
     changes: Changes,
     deformation: Deformation,
 ) -> DirectedBudget | None:
-    """Return the budget of D2 in both directions; None if D2 is unknown or estimated from a sample."""
+    """Return the budget of D2 in both directions; None if D2 is unknown or estimated from a sample.
+
+    Args:
+        reference: the prepared reference.
+        aligned: the aligned candidate.
+        closest: (M,) reference points closest to the candidate's points inside the region.
+        directions: distances of both directions.
+        changes: changes between the complete clouds.
+        deformation: the deformation, for its noise.
+    """
     frame = FitFrame.of(reference.points)
     white = None if deformation.noise is None else deformation.noise.sigma_white
 
@@ -162,7 +171,7 @@ def split_into_budget(
     of_candidate, of_reference = changes.of_candidate, changes.of_reference
     if reference.region is not None:
         of_candidate, of_reference = of_candidate[aligned.inside], of_reference[reference.rows]
-    accuracy = of(directions[0], matched.forth.indices, of_candidate)
+    accuracy = of(directions[0], closest, of_candidate)
     completeness = of(directions[1], reference.rows, of_reference)
     if accuracy is None or completeness is None:
         return None

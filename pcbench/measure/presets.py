@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches, match_both_directions
+from pcbench.geometry.sampling import NeighborRange
 from pcbench.geometry.voxels import open3d_voxel_means
 from pcbench.measure import metrics
 from pcbench.measure.library_presets import LIBRARY_PRESETS, DirectedValues, LibraryPreset, OneWay
@@ -76,7 +77,7 @@ class CroppedPair(NamedTuple):
     to_candidate: Matches  # nearest candidate points of the reference's points
     tied_to_reference: NDArray[np.bool_]  # whether a second point is as near as the nearest one
     tied_to_candidate: NDArray[np.bool_]
-    nearest_other: Matches | None  # nearest neighbours within the reference; None for a single point
+    neighbors: NeighborRange | None  # distances between neighbours in the reference; None for a single point
     normals: FloatArray | None  # (N, 3) unit normals of the reference
     raw_normals: FloatArray | None  # the same as they were read; None if they were estimated
 
@@ -111,7 +112,7 @@ def measure_preset(
 def match(
     reference: Index,
     candidate: Index,
-    nearest_other: Matches | None,
+    neighbors: NeighborRange | None,
     normals: FloatArray | None,
     raw_normals: FloatArray | None,
 ) -> CroppedPair:
@@ -119,7 +120,7 @@ def match(
     to_reference, tied_to_reference = reference.query_index_with_ties(candidate, _TIE_TOLERANCE)
     to_candidate, tied_to_candidate = candidate.query_index_with_ties(reference, _TIE_TOLERANCE)
     matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
-    return CroppedPair(reference, candidate, *matches, nearest_other, normals, raw_normals)
+    return CroppedPair(reference, candidate, *matches, neighbors, normals, raw_normals)
 
 
 def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
@@ -195,7 +196,7 @@ def mpeg(pair: CroppedPair, peak: float | None = None) -> Mpeg:
         normals_b = _averaged_normals(normals, ab, ba, len(b))
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     if peak is None:
-        peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
+        peak = 0.0 if pair.neighbors is None else pair.neighbors.largest
 
     def both_ways(squares: list[FloatArray]) -> DirectedValues:
         if not squares:
@@ -265,15 +266,14 @@ def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
 
 
 def _merge_duplicates(pair: CroppedPair) -> CroppedPair:
-    other = pair.nearest_other
-    doubled = other is not None and not other.distances.all()  # at a distance of 0
+    doubled = pair.neighbors is not None and pair.neighbors.smallest == 0
     if not doubled and not _has_duplicates(pair.candidate.points):
         return pair
     reference, first = np.unique(pair.reference.points, axis=0, return_index=True)
     candidate = np.unique(pair.candidate.points, axis=0)
     normals, raw = (None if n is None else n[first] for n in (pair.normals, pair.raw_normals))
     index = Index(reference)
-    return match(index, Index(candidate), index.nearest_other() if len(index) > 1 else None, normals, raw)
+    return match(index, Index(candidate), NeighborRange.within(index), normals, raw)
 
 
 def _has_duplicates(points: FloatArray) -> bool:

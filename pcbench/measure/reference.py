@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError, Notice
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, freeze
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.mesh_samples import sample_reference
-from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
-from pcbench.geometry.sampling import spacing_of_all
+from pcbench.geometry.sampling import NeighborRange, spacing_of_all
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
@@ -50,7 +51,7 @@ class Reference:
     region: Region | None  # in local coordinates: minus `origin`
     inside: NDArray[np.bool_]
     rows: IntArray | None  # rows of the points inside the region; None: all
-    nearest_other: Matches | None
+    neighbors: NeighborRange | None  # distances between neighbours; None for a single point
     spacing: float
     cells: intervals.CorrelationCells
     voxel: float
@@ -77,7 +78,7 @@ class Reference:
         tolerance = settings.tolerance if is_sampled else None
         if len(surface) >= 3 and tolerance is None:
             surface.compute_normals(rows)  # sufficient for D2; registration estimates further ones as needed
-        nearest_other = surface.nearest_other() if len(surface) > 1 else None
+        nearest_other = surface.take_nearest_other() if len(surface) > 1 else None
         return cls(
             cloud=cloud,
             origin=origin,
@@ -85,7 +86,7 @@ class Reference:
             region=region,
             inside=inside,
             rows=rows,
-            nearest_other=nearest_other,
+            neighbors=NeighborRange.of(nearest_other),
             spacing=surface.spacing
             if nearest_other is None
             else spacing_of_all(surface.index, surface.sampling, nearest_other),
@@ -136,11 +137,13 @@ class Reference:
         """Points inside the region (M, 3), in local coordinates."""
         return self.points if self.rows is None else self.points[self.rows]
 
-    @property
+    @cached_property
     def measured(self) -> tuple[FloatArray, IntArray]:
-        """Points inside the region (M, 3) in the original coordinates, and their rows (M,)."""
+        """Points inside the region (M, 3) in the original coordinates, and their rows (M,); shared by all maps."""
         points = self.cloud.points
-        return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
+        if self.rows is None:
+            return points, freeze(np.arange(len(points)))
+        return freeze(points[self.rows]), self.rows
 
     @property
     def rounding(self) -> PlacedQuantisation:

@@ -13,7 +13,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray, rounding_bound
 from pcbench.measure import metrics
 from pcbench.measure.deviation import Spread
 from pcbench.measure.directions import MEAN_METRICS, Direction
-from pcbench.measure.intervals import CorrelationCells
+from pcbench.measure.intervals import CellNumbers, CorrelationCells
 from pcbench.measure.plane_sample import PlaneSample
 from pcbench.measure.results import Extremes, SampledMean
 
@@ -111,5 +111,5 @@ def within_key(threshold: float) -> str:
     return f"within/{threshold!r}"
 
 
-def _cell_sums(values: FloatArray, cells: IntArray, number: int) -> CellSums:
+def _cell_sums(values: FloatArray, cells: CellNumbers, number: int) -> CellSums:
     return CellSums(float(np.mean(values)), np.bincount(cells, values, number).astype(np.float64, copy=False))

@@ -13,6 +13,7 @@ from pcbench import read_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import (
     PROFILE_NEIGHBORS,
+    NeighborRange,
     Sampling,
     line_gaps,
     median_spacing,
@@ -137,3 +138,9 @@ def test_the_spacing_of_all_points_follows_from_the_sampling():
         index = Index(points)
         nearest_other = index.nearest_other()
         assert spacing_of_all(index, sampling_of(index), nearest_other) == median_spacing(index, nearest_other)
+
+
+def test_the_range_of_neighbors_is_that_of_all_points():
+    index = Index([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [4, 0, 0]])
+    assert NeighborRange.within(index) == NeighborRange.of(index.nearest_other()) == (0.0, 3.0)
+    assert NeighborRange.within(Index(np.zeros((1, 3)))) is NeighborRange.of(None) is None

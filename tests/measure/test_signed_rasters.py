@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pcbench import Cloud, compare
+from pcbench.comparison import in_memory
 
 LEVELS = (-0.2, 0.5)  # heights of the western and the eastern half of the candidate above the reference
 
@@ -52,3 +53,14 @@ def test_without_planes_the_sign_is_unknown():
     raster = candidate.deviation.overview
     assert np.isnan(raster.signed).all()
     assert raster.count.sum() == 3
+
+
+def test_blocks_do_not_change_a_raster(monkeypatch):
+    reference, lifted = terraces()
+    (whole,) = compare(reference, lifted, register="none")
+    monkeypatch.setattr(in_memory, "_BLOCK_QUERIES", 100)
+    (blocks,) = compare(reference, lifted, register="none")
+    for name in ("deviation", "completeness"):
+        first, second = (getattr(candidate, name).overview for candidate in (whole, blocks))
+        for field in ("signed", "mean", "largest", "count"):
+            np.testing.assert_array_equal(getattr(first, field), getattr(second, field))

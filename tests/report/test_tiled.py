@@ -228,19 +228,23 @@ def test_python_compares_paths_in_tiles(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("counts", "peak_mb"),
     [
-        ((1_000_000, 1_000_000), 591),
-        ((3_000_000, 3_000_000), 1578),
-        ((1_000_000, 1_000_000, 1_000_000, 1_000_000), 781),
+        ((10_000, 10_000), 137),
+        ((30_000, 30_000), 227),
+        ((100_000, 100_000), 236),
+        ((300_000, 300_000), 299),
+        ((1_000_000, 1_000_000), 563),
+        ((190_000, 1_000_000), 370),
+        ((1_000_000, 1_000_000, 1_000_000, 1_000_000), 740),
     ],
 )
 def test_the_estimate_of_memory_is_near_measured_peaks(counts, peak_mb):
-    # Peaks of `pcbench compare` for .npy files of points, without --out, by `/usr/bin/time -v`.
+    # Peaks by `benchmarks/memory.py`.
     reference, *candidates = (
         CloudOnDisk(Path("a.npy"), (CloudFile(Path("a.npy"), count, nbytes_in_memory=24 * count),), ())
         for count in counts
     )
     clouds = CloudsOnDisk(reference, dict(enumerate(candidates)))
-    assert clouds.memory == pytest.approx(1e6 * peak_mb, rel=0.05)
+    assert clouds.memory == pytest.approx(1e6 * peak_mb, rel=0.1)
 
 
 def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):

@@ -23,6 +23,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.regions import Region
+from pcbench.geometry.sampling import NeighborRange
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.units import check_same_unit
 from pcbench.io.contents import FileStatus, status_of
@@ -135,12 +136,12 @@ class PresetProtocol:
         normals = reference.normals if reference.has_normals else None
         given = reference.cloud.normals
         if inputs.crop is None:
-            index, nearest_other = reference.index, reference.nearest_other
+            index, neighbors = reference.index, reference.neighbors
         else:
             index = Index(reference.index.points[rows_back])
-            nearest_other = index.nearest_other() if len(index) > 1 else None
+            neighbors = NeighborRange.within(index)
             normals, given = (None if each is None else each[rows_back] for each in (normals, given))
-        cropped = presets.match(index, Index(moved[rows]), nearest_other, normals, given)
+        cropped = presets.match(index, Index(moved[rows]), neighbors, normals, given)
         result = presets.measure_preset(self.name, cropped, self._thresholds(), mpeg_peak=self._mpeg_peak())
         scores = tuple(_preset_scores(result, pair.unit, self.squares))
         return Evaluation(protocol_text(self), scores, pair.counts(len(rows), len(rows_back)), pair.notes)
@@ -284,8 +285,8 @@ class _PreparedReference:
         return len(self.cloud) >= 3
 
     @cached_property
-    def nearest_other(self) -> Matches | None:
-        return self.index.nearest_other() if len(self.index) > 1 else None
+    def neighbors(self) -> NeighborRange | None:
+        return NeighborRange.within(self.index)
 
 
 class _PosedPair(NamedTuple):

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 
 _DRAWS = 300
 _MAX_QUANTILES = 512
@@ -33,7 +34,7 @@ class BlockEstimate(NamedTuple):
         return math.isfinite(self.low) and math.isfinite(self.high)
 
 
-def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
+def median_estimate(values: FloatArray, blocks: NDArray[np.integer[Any]], seed: int) -> BlockEstimate | None:
     """Return the median of values (N,) in blocks (N,); None without values.
 
     The ends of its interval are among at most 512 quantiles of the values.
@@ -54,7 +55,7 @@ def median_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEst
     return statistic_estimate(float(np.median(values)), len(occupied), medians, seed)
 
 
-def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
+def mean_estimate(values: FloatArray, blocks: NDArray[np.integer[Any]], seed: int) -> BlockEstimate | None:
     """Return the mean of values (N,) in blocks (N,); None without values."""
     if not len(values):
         return None
@@ -65,7 +66,7 @@ def mean_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstim
     )
 
 
-def root_mean_square_estimate(values: FloatArray, blocks: IntArray, seed: int) -> BlockEstimate | None:
+def root_mean_square_estimate(values: FloatArray, blocks: NDArray[np.integer[Any]], seed: int) -> BlockEstimate | None:
     """Return the root mean square of values (N,) in blocks (N,); None without values."""
     square = mean_estimate(values**2, blocks, seed)
     return None if square is None else BlockEstimate(*(math.sqrt(end) for end in square))

@@ -8,6 +8,7 @@ from wording import check_error, check_text
 
 import pcbench
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import NeighborRange
 from pcbench.measure import presets
 from pcbench.measure.protocols.protocol import EvaluationInputs
 from pcbench.measure.protocols.registry import parse_protocol
@@ -75,7 +76,7 @@ def test_presets_have_their_own_numbers(pair, name):
     normals = np.tile((0.0, 0.0, 1.0), (400, 1))
     reference = replace(reference, normals=normals)
     index = Index(reference.points)
-    cropped = presets.match(index, Index(candidate.points), index.nearest_other(), normals, normals)
+    cropped = presets.match(index, Index(candidate.points), NeighborRange.within(index), normals, normals)
     result = presets.measure_preset(name, cropped, ())
     scores = values(parse_protocol(name).evaluate(EvaluationInputs(reference, candidate)))
     single = {key: value for key, value in vars(result).items() if isinstance(value, float)}
