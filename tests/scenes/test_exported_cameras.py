@@ -61,6 +61,7 @@ WRONG = {
     "no position": [{key: value for key, value in GOOD.items() if key != "position"}],
     "two coordinates": [GOOD | {"position": [1, 2]}],
     "NaN": [GOOD | {"position": [1, 2, float("nan")]}],
+    "a huge coordinate": [GOOD | {"position": [1.7e308, 1.7e308, 1.7e308]}],
     "words": [GOOD | {"fx": "a"}],
     "no rotation": [GOOD | {"rotation": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}],
     "no size": [GOOD | {"width": 0}],
