@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from pcbench.studies.evaluate.results import MethodComparison
 
 INCOMPLETE = 4
-"""Exit code if a pair has no scores."""
+"""Exit code if a pair has no scores, or a user-defined metric failed."""
 
 
 @click.command(short_help="Evaluate methods on scenes by a benchmark's protocol, in one table.")
@@ -91,7 +92,8 @@ def evaluate(
 
     Both are paths with the placeholder {scene}; CANDIDATES also have {method}, or there is one path for each method, as
     PATH or NAME=PATH. Without placeholders, one pair is evaluated. The result says which method is best in which score,
-    by how much, and whether the difference is told from chance over the scenes. Exit code 4: a pair has no scores.
+    by how much, and whether the difference is told from chance over the scenes. Exit code 4: a pair has no scores, or a
+    metric failed.
 
     \b
     Example: pcbench evaluate 'gt/{scene}.ply' '{method}/{scene}/mesh.ply' --out table/
@@ -122,10 +124,14 @@ def evaluate(
     with_scores = [pair for pair in study.pairs if pair.scores]
     names = [f"{pair.scene}, {pair.method}" if len(study.pairs) > 1 else "" for pair in with_scores]
     fail_if_any(fail_if, [*map(NamedValues, names, map(json_values, with_scores))], ("scores",))
-    if not study.is_complete:
-        if quiet or output.on_stdout:
-            count = sum(not pair.scores for pair in study.pairs)
-            warn(f"{count} of {len(study.pairs)} pairs have no scores: see their messages in the table or in the JSON")
+    total = len(study.pairs)
+    if not study.is_complete and (quiet or output.on_stdout):
+        count = sum(not pair.scores for pair in study.pairs)
+        warn(f"{count} of {total} pairs have no scores: see their messages in the table or in the JSON")
+    failures = Counter(metric for pair in study.pairs for metric in pair.failed_metrics)
+    for metric, count in failures.items():
+        warn(f"the metric {metric} failed for {count} of {total} pairs: see their notes in the JSON or pages")
+    if failures or not study.is_complete:
         sys.exit(INCOMPLETE)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.geometry.transform import Similarity
 
 
@@ -188,7 +188,7 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
         InputError: the matrix is not 3x3 and finite, or differs by over 1e-3 from a rotation.
     """
     m = np.asarray(matrix, dtype=np.float64)
-    if m.shape != (3, 3) or not np.isfinite(m).all():
+    if m.shape != (3, 3) or not (np.abs(m) < MAX_COORDINATE).all():
         raise InputError(f"expected a 3x3 rotation matrix of finite numbers, got {m.shape} with {m.ravel()[:3]}")
     error = float(np.abs(m @ m.T - np.eye(3)).max())
     determinant = float(np.linalg.det(m))

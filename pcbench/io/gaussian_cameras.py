@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import errors_named
@@ -61,7 +62,7 @@ def _has_keys(values: Any) -> bool:
 
 def _camera(values: dict[str, Any]) -> Camera:
     position = np.array(values["position"], dtype=np.float64)
-    if position.shape != (3,) or not np.isfinite(position).all():
+    if position.shape != (3,) or not (np.abs(position) < MAX_COORDINATE).all():
         raise InputError(f"expected a position of three finite numbers, got {str(values['position'])[:60]}: correct it")
     cam_from_world = nearest_rotation(values["rotation"]).T
     width, height = int(values["width"]), int(values["height"])

@@ -79,7 +79,7 @@ def read_gltf_vertices(path: Path, warn: Warn) -> Fields:
         raise InputError(f"expected points or triangles, got {kind}: export it with points or a mesh")
     buffers = _buffers(path, document)
     parts: list[_GltfPart] = []
-    left = _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * sum(map(len, buffers))
+    left = _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * sum({id(buffer): len(buffer) for buffer in buffers}.values())
     for number, matrix in _meshes_of_scene(content):
         for primitive in entries(_entry(content, "meshes", number), "primitives"):
             if isinstance(primitive, dict) and _mode(primitive) in wanted:
@@ -273,7 +273,8 @@ def _whole(values: dict[str, Any], name: str, limit: int = 1 << 53, default: int
 
 
 def _buffers(path: Path, document: Document) -> list[bytes]:
-    buffers = []
+    buffers: list[bytes] = []
+    files: dict[Path, bytes] = {}  # a small document may name a file many times
     for number, values in enumerate(entries(document.content, "buffers")):
         uri = values.get("uri") if isinstance(values, dict) else None
         if uri is None and number == 0 and document.body is not None:
@@ -284,7 +285,10 @@ def _buffers(path: Path, document: Document) -> list[bytes]:
             buffers.append(_decoded(uri, number))
         else:
             with errors_named(f"referenced file {uri[:80]}"):
-                buffers.append(read_bytes(local_file(path, uri), _MAX_BUFFER_BYTES))
+                file = local_file(path, uri)
+                if (key := file.resolve()) not in files:
+                    files[key] = read_bytes(file, _MAX_BUFFER_BYTES)
+                buffers.append(files[key])
     return buffers
 
 

@@ -19,7 +19,7 @@ from pcbench.io.files import errors_named
 from pcbench.regular_files import read_bytes
 
 _HEADER_BYTES, _VERSION, _VERSION_OF_HDF5 = 128, 0x0100, 0x0200
-_MAX_FILE_BYTES = _MAX_VARIABLE_BYTES = 2 << 30
+_MAX_FILE_BYTES = _MAX_UNPACKED_BYTES = 2 << 30
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
 _FIRST_NUMERIC_CLASS, _LAST_NUMERIC_CLASS, _COMPLEX = 6, 15, 0x0800
@@ -42,6 +42,8 @@ def read_matlab_arrays(path: Path, *names: str) -> list[NDArray[Any]]:
             for variable in _variables(content[_HEADER_BYTES:], order):
                 if (array := _array(variable, order)) is not None and array.name in names:
                     arrays[array.name] = array.values
+        except InputError:  # also a ValueError, but its message is complete
+            raise
         except (ValueError, struct.error, zlib.error, OverflowError, UnicodeDecodeError):
             raise InputError("expected a MATLAB file, got a damaged one: download it again") from None
         for name in names:
@@ -81,13 +83,21 @@ def _byte_order(content: memoryview) -> str:
 
 
 def _variables(content: memoryview, order: str) -> Iterator[memoryview]:
-    """Yield the content of each matrix, decompressed."""
+    """Yield the content of each matrix, decompressed.
+
+    Raises:
+        InputError: all compressed ones together are larger than `_MAX_UNPACKED_BYTES`.
+    """
+    left = _MAX_UNPACKED_BYTES
     while len(content):
         element = _element(content, order)
         content = element.rest
         if element.kind == _COMPRESSED:
             stream = zlib.decompressobj()
-            data = stream.decompress(element.data, _MAX_VARIABLE_BYTES)
+            data = stream.decompress(element.data, left)
+            left -= len(data)
+            if left <= 0:
+                raise InputError(f"expected variables of at most {_MAX_UNPACKED_BYTES >> 30} GiB, got more: save fewer")
             if not stream.eof:
                 raise ValueError("incomplete")
             element = _element(memoryview(data), order)

@@ -70,7 +70,7 @@ def read_metashape(path: Path, warn: Warn) -> tuple[Camera, ...]:
             root = ET.fromstring(text)
         except (ET.ParseError, RecursionError) as error:
             raise InputError(f"expected XML, got text with an error: {error}: export the cameras again") from None
-        chunks = list(root.iter("chunk"))
+        chunks = [*root.findall("chunk"), *root.findall("*/chunk")]  # all levels of a hostile file would take hours
         aligned = [chunk for chunk in chunks if _aligned(chunk)]
         if not aligned:
             raise InputError(
@@ -83,7 +83,8 @@ def read_metashape(path: Path, warn: Warn) -> tuple[Camera, ...]:
                 f"left out {len(aligned) - 1} of {len(aligned)} chunks: read {chunk.get('label', 'the first')!r}"
             )
         try:
-            cameras = _cameras(chunk, notes.append)
+            with np.errstate(over="ignore", invalid="ignore"):  # huge numbers become infinite, and are refused
+                cameras = _cameras(chunk, notes.append)
         except InputError:  # also a ValueError, but its message is complete
             raise
         except (ValueError, OverflowError) as error:

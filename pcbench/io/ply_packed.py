@@ -50,9 +50,10 @@ def check_packed(header: PlyHeader) -> None:
         raise InputError(
             f"expected {count} chunks for {vertex.count} splats, one per {_CHUNK}, got {chunk.count}: export it again"
         )
-    if harmonics.properties and (harmonics.count != vertex.count or len(harmonics.scalars) not in _COEFFICIENTS):
+    coefficients = len({prop.name for prop in harmonics.scalars})  # a damaged header may have a name twice
+    if harmonics.properties and (harmonics.count != vertex.count or coefficients not in _COEFFICIENTS):
         raise InputError(
-            f"expected 9, 24 or 45 harmonics for each of {vertex.count} splats, got {len(harmonics.scalars)} for"
+            f"expected 9, 24 or 45 harmonics for each of {vertex.count} splats, got {coefficients} for"
             f" {harmonics.count}: export it again"
         )
 
@@ -108,4 +109,4 @@ def _quaternions(packed: NDArray[np.uint32]) -> FloatArray:
 
 def _number(name: str) -> int:
     digits = name.rpartition("_")[2]
-    return int(digits) if digits.isdigit() and len(digits) < 9 else -1
+    return int(digits) if digits.isdecimal() and len(digits) < 9 else -1

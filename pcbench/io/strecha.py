@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import errors_named
@@ -31,7 +32,7 @@ def read_strecha(path: Path) -> Camera:
             values = np.array([float(word) for word in words])
         except ValueError as error:
             raise InputError(f"{_EXPECTED}: {error}") from None
-        if values.shape != (26,) or not np.isfinite(values).all():
+        if values.shape != (26,) or not (np.abs(values) < MAX_COORDINATE).all():
             raise InputError(f"{_EXPECTED}, got {len(values)}: correct it")
         k, distortion, rotation, centre, size = np.split(values, [9, 12, 21, 24])
         if distortion.any():

@@ -98,5 +98,6 @@ def _from_log(path: Path) -> Trajectory:
         if not numbers:
             raise InputError("expected at least one image with a pose, got none")
         if not 0 <= min(numbers) <= max(numbers) < 2**53:
-            raise InputError(f"expected numbers of images from 0, got {min(numbers)}")
+            wrong = min(numbers) if min(numbers) < 0 else max(numbers)
+            raise InputError(f"expected numbers of images from 0 to 2^53, got {str(wrong)[:40]}")
     return Trajectory(np.array(numbers), np.array(places), np.array(centers), len(lines) // _LINES_PER_IMAGE)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import errors_named
@@ -147,8 +148,8 @@ def _pose(matrix: Any) -> Similarity:
     m = np.array(matrix, dtype=np.float64)
     if m.shape not in ((4, 4), (3, 4)):
         raise InputError(f"expected a 4x4 transform_matrix, got shape {m.shape}: export it again")
-    if not np.isfinite(m).all():
-        raise InputError(f"expected a transform_matrix of finite numbers, got {m[~np.isfinite(m)][0]}: export it again")
+    if len(wrong := m[~(np.abs(m) < MAX_COORDINATE)]):
+        raise InputError(f"expected a transform_matrix of finite numbers, got {wrong[0]}: export it again")
     cam_from_world = (nearest_rotation(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
     return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
 

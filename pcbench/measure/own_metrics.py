@@ -199,6 +199,11 @@ class OwnResults(NamedTuple):
     by_name: Mapping[str, OwnResult]
     warnings: tuple[Notice, ...]
 
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the metrics that failed."""
+        return tuple(name for name, result in self.by_name.items() if not result.values)
+
 
 def metric_name(given: str | MetricFunction | OwnMetric) -> str:
     """Return the name of a metric in all outputs, without importing it.

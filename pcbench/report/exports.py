@@ -8,7 +8,7 @@ from typing import Any
 from pcbench.extras import require
 from pcbench.measure.results import ARROWS
 from pcbench.report.inputs import FinishedComparison
-from pcbench.report.markup import csv_text, latex, latex_row
+from pcbench.report.markup import csv_text, latex, latex_row, latex_tabular
 from pcbench.report.summary import main_lines
 from pcbench.report.table import Row, markdown, rows
 
@@ -24,19 +24,15 @@ def data_frame(comparison: FinishedComparison) -> Any:
 
 def latex_table(comparison: FinishedComparison) -> str:
     """Return the main metrics as a LaTeX table with two columns per candidate and intervals; it needs booktabs."""
-    names = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison)
+    names = [rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison]
     unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
-    text = [
-        rf"\begin{{tabular}}{{l{'rr' * len(comparison)}}}",
-        r"\toprule",
-        rf" & {names} \\",
-        latex_row([unit, *(arrow for _ in comparison for arrow in ARROWS.values())]),
-        r"\midrule",
-    ]
-    for line in main_lines(comparison):
-        indent = r"\quad " * line.level
-        text.append(f"{indent}{latex(line.label)} & {latex_row(line.with_intervals.texts)}")
-    return "\n".join([*text, r"\bottomrule", r"\end{tabular}", ""])
+    arrows = [arrow for _ in comparison for arrow in ARROWS.values()]
+    header = latex_row(["", *names]), latex_row(map(latex, [unit, *arrows]))
+    body = (
+        latex_row([r"\quad " * line.level + latex(line.label), *map(latex, line.with_intervals.texts)])
+        for line in main_lines(comparison)
+    )
+    return latex_tabular(f"l{'rr' * len(comparison)}", header, body)
 
 
 TABLES: dict[str, Callable[[FinishedComparison], str]] = {

@@ -60,9 +60,21 @@ def markdown_row(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def latex_tabular(columns: str, header: Iterable[str], body: Iterable[str]) -> str:
+    r"""Return a LaTeX table with the rules of booktabs.
+
+    Args:
+        columns: alignment of the columns, such as `lrr`.
+        header: lines of its head, each with `\\` at its end.
+        body: the other lines.
+    """
+    lines = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", *header, r"\midrule", *body]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
 def latex_row(cells: Iterable[str]) -> str:
-    """Return a line of a LaTeX table."""
-    return " & ".join(map(latex, cells)) + r" \\"
+    """Return a line of a LaTeX table, of cells that are LaTeX."""
+    return " & ".join(cells) + r" \\"
 
 
 def latex(text: str) -> str:

@@ -42,7 +42,10 @@ def test_methods_and_scenes_are_a_table(files, run):
         "pairs",
     } <= names
     (files / "one" / "y.ply").unlink()
-    code, out, _ = run(*command, "--out", "t", "--columns", "hausdorff,nothing", "--json", "all.json")
+    code, out, err = run(*command, "--out", "t", "--columns", "hausdorff,nothing")
+    assert (code, out) == (2, "")
+    check_text(without_progress(err))
+    code, out, _ = run(*command, "--out", "t", "--columns", "hausdorff", "--json", "all.json")
     assert code == 4
     check_text(out)
     study = json.loads((files / "all.json").read_text())
@@ -68,6 +71,7 @@ def test_errors_are_one_line(files, run):
         ("--pairs", "pairs.csv"),
         ("--pairs", "pairs.csv", "ref.ply"),
         ("ref.ply", "a.ply", "--metric", "far.py:far", "--protocol", "open3d"),
+        ("ref.ply", "a.ply", "--columns", "nothing", "--protocol", "open3d", "-q"),
     ):
         code, out, err = run("evaluate", *arguments)
         assert code == 2 and out == "" and is_one_line(err), (arguments, err)
@@ -82,6 +86,10 @@ def test_conditions_and_user_defined_metrics(files, run):
     far, largest = (float(re.search(rf"{name} +(\S+)", out)[1]) for name in (r"own\.far", "hausdorff"))
     assert 0 < far <= largest
     assert [line.split("'")[1] for line in without_progress(err).splitlines()] == ["own.far > 0", "d1_rms.c2r > 0"]
+    (files / "far.py").write_text("def far(pair):\n    return 1 / 0\n")
+    code, out, err = run("evaluate", "ref.ply", "a.ply", "--metric", "far.py:far", "--columns", "own.far.x", "-q")
+    assert (code, out) == (4, "")
+    check_text(err)
 
 
 def test_the_json_replaces_no_input(files, run):

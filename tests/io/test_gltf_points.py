@@ -11,6 +11,7 @@ from refusals import refusal
 from wording import check_text
 
 from pcbench import read_cloud
+from pcbench.io import gltf_points
 from pcbench.io.source import Source
 
 POINTS = np.array([[0, 0, 0.5], [1, 0, 0.25], [2.5, 0.125, 0]])
@@ -151,3 +152,18 @@ def test_damaged_points(tmp_path, name):
 def test_a_file_without_nodes_shows_all_meshes(tmp_path):
     (tmp_path / "a.glb").write_bytes(glb_parts((0, POINTS, None), nodes=[]))
     assert len(read_cloud(tmp_path / "a.glb")) == 3
+
+
+def test_a_file_that_is_named_often_is_read_once(tmp_path, monkeypatch):
+    names = []
+    monkeypatch.setattr(gltf_points, "read_bytes", lambda path, limit: names.append(path.name) or path.read_bytes())
+    (tmp_path / "a.bin").write_bytes(POINTS.astype("<f4").tobytes())
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": uri, "byteLength": 36} for uri in ("a.bin", "./a.bin", "%61.bin")],
+        "bufferViews": [{"buffer": 2, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    assert read_cloud(tmp_path / "a.gltf").points.tolist() == POINTS.tolist() and names == ["a.bin"]

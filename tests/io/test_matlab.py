@@ -8,6 +8,7 @@ from scipy.io import loadmat, savemat
 from wording import check_error
 
 from pcbench.errors import InputError
+from pcbench.io import matlab
 from pcbench.io.matlab import read_matlab_arrays
 
 ARRAYS = {
@@ -62,6 +63,14 @@ def test_other_files_are_refused(tmp_path):
         path.write_bytes(content)
         with check_error():
             read_matlab_arrays(path, "P")
+
+
+def test_variables_that_unpack_to_too_much_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(matlab, "_MAX_UNPACKED_BYTES", 1500)  # of one variable and a half
+    path = tmp_path / "a.mat"
+    savemat(path, {"a": np.zeros(100), "b": np.zeros(100), "P": np.zeros(2)}, do_compression=True)
+    with check_error():
+        read_matlab_arrays(path, "P")
 
 
 @pytest.mark.parametrize("compressed", [False, True])

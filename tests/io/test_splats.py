@@ -273,6 +273,10 @@ PACKED_PLY = {
     "harmonics of other splats": (
         ("chunk", RANGES, [CHUNK]), ("vertex", PACKED, [CORNER]), ("sh", HARMONICS, [tuple(range(9))] * 2)
     ),
+    "a harmonic twice": (
+        ("chunk", RANGES, [CHUNK]), ("vertex", PACKED, [CORNER]),
+        ("sh", [*HARMONICS[1:], "uchar f_rest_1"], [tuple(range(9))]),
+    ),
     "two harmonics": (("chunk", RANGES, [CHUNK]), ("vertex", PACKED, [CORNER]), ("sh", HARMONICS[:2], [(1, 2)])),
 }  # fmt: skip
 

@@ -45,7 +45,7 @@ def test_images_of_a_colmap_model_are_numbered_by_their_names(tmp_path):
         "", "0 0 0\n" + POSE[:-9], "0\n" + POSE, "a 0 0\n" + POSE, "0 0 0\n" + POSE.replace("5", "x"),
         "0 0 0\n" + POSE.replace("5", "nan"), "0 0 0\n" + POSE.replace(" 5", ""),
         "0 0 0\n" + POSE.replace("0 1\n", "1 1\n"),
-        "0 -1 0\n" + POSE, "-1 0 0\n" + POSE,
+        "0 -1 0\n" + POSE, "-1 0 0\n" + POSE, "9" * 4000 + " 0 0\n" + POSE,
     ],
 )  # fmt: skip
 def test_malformed_logs_are_refused(tmp_path, text):

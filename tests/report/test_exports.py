@@ -26,6 +26,7 @@ def test_a_latex_table_has_balanced_lines_and_no_special_characters(comparison):
     text = TABLES["latex"](comparison)
     lines = text.splitlines()
     assert lines[0] == r"\begin{tabular}{lrrrr}" and lines[-1] == r"\end{tabular}"
+    assert [lines[k] for k in (1, 4, -2)] == [r"\toprule", r"\midrule", r"\bottomrule"]
     body = [line for line in lines[1:-1] if line.endswith(r"\\")]
     assert all(line.replace(r"\&", "").count("&") == 4 for line in body[1:])
     assert text.isascii()

@@ -1,6 +1,8 @@
 """Cameras of 3D Gaussian splatting and of Metashape."""
 
 import json
+import re
+import warnings
 
 import metashape_files
 import numpy as np
@@ -59,9 +61,11 @@ WRONG = {
     "no position": [{key: value for key, value in GOOD.items() if key != "position"}],
     "two coordinates": [GOOD | {"position": [1, 2]}],
     "NaN": [GOOD | {"position": [1, 2, float("nan")]}],
+    "a huge coordinate": [GOOD | {"position": [1.7e308, 1.7e308, 1.7e308]}],
     "words": [GOOD | {"fx": "a"}],
     "no rotation": [GOOD | {"rotation": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}],
     "no size": [GOOD | {"width": 0}],
+    "huge": [GOOD | {"rotation": [[1e200, 1e200, 0], [1e200, -1e200, 0], [0, 0, 1]]}],
     "ragged": [GOOD | {"rotation": [[1, 0], [0, 2, 0]]}],
 }
 
@@ -87,6 +91,21 @@ def read(folder, text):
     (folder / "a.xml").write_text(text)
     notes = []
     return read_metashape(folder / "a.xml", notes.append), notes
+
+
+def test_huge_numbers_and_nested_chunks_are_refused_in_one_line(tmp_path):
+    text, count = metashape_files.export(orbit(NAMES)), 20_000
+    nested = f"{'<chunk>' * count}<camera><transform/></camera>{'</chunk>' * count}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for damaged in (
+            re.sub("<rotation>[^ ]+", "<rotation>1e300", text),
+            re.sub("<scale>[^<]+", "<scale>1e308", text),
+        ):
+            with check_error():
+                read(tmp_path, damaged)
+        with check_error():
+            read(tmp_path, f"<document>{nested}</document>")
 
 
 def test_chunks_without_a_transform(tmp_path):

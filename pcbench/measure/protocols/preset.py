@@ -90,7 +90,8 @@ class PcbenchProtocol:
         own = _measure_user_defined(inputs.metrics, pair, matched, rows, rows_back)
         scores = (*_own_scores(values, pair.unit), *own_scores(own, pair.unit))
         notes += map(str, own.warnings)
-        return Evaluation(protocol_text(self), scores, pair.counts(len(rows), len(rows_back)), tuple(notes))
+        counts = pair.counts(len(rows), len(rows_back))
+        return Evaluation(protocol_text(self), scores, counts, tuple(notes), own.failed)
 
 
 @dataclass(frozen=True)

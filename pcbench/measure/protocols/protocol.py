@@ -43,12 +43,14 @@ class Evaluation:
         scores: the numbers that papers quote, in their order.
         counts: numbers of points and other intermediate values that tell whether the evaluation went as intended.
         notes: what a reader of the scores has to know, such as that a mesh was sampled.
+        failed_metrics: names of user-defined metrics that failed; notes say why.
     """
 
     protocol: str
     scores: tuple[ProtocolScore, ...]
     counts: tuple[ProtocolScore, ...] = ()
     notes: tuple[str, ...] = ()
+    failed_metrics: tuple[str, ...] = ()
 
 
 def _ignore(_: str) -> None:

@@ -6,8 +6,9 @@ import csv
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import escape, glob
 from pathlib import Path
 
@@ -50,10 +51,17 @@ class PlannedPair:
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """The pairs of all scenes and methods, by scene, and remarks about what is not among them."""
+    """The pairs of an evaluation, and what a reader has to know about their choice.
+
+    Attributes:
+        pairs: the pairs of all scenes and methods, by scene.
+        notes: remarks about what is not among them.
+        matched_methods: the methods that the placeholder {method} stood for.
+    """
 
     pairs: tuple[PlannedPair, ...]
     notes: tuple[str, ...] = ()
+    matched_methods: tuple[str, ...] = ()
 
 
 class _Pattern:
@@ -123,6 +131,7 @@ def plan_patterns(
     references = _references(truth)
     paths: dict[tuple[str, str], str] = {}
     methods: dict[str, _Pattern] = {}
+    matched: dict[str, None] = {}  # methods that {method} stood for
     for text in candidates:
         name, pattern = _method_of(text, truth)
         if name is not None:
@@ -135,6 +144,8 @@ def plan_patterns(
             if name is None and _is_same_file(path, references.get(key[0])):
                 continue  # {method} also matches the folder of the references
             methods.setdefault(method, pattern)
+            if name is None:
+                matched[method] = None
             if key in paths:
                 raise InputError(
                     f"{path}: expected one candidate for each scene and method, got also {paths[key]}: make the"
@@ -143,7 +154,20 @@ def plan_patterns(
             paths[key] = path
     if not paths:
         raise InputError(f"no file matches {' or '.join(candidates)}: check the folder and the placeholders")
-    return _planned(references, methods, paths, register, crop)
+    plan = _planned(references, methods, paths, register, crop)
+    return replace(plan, notes=(*plan.notes, *_rare(matched, paths)), matched_methods=tuple(matched))
+
+
+def _rare(methods: Iterable[str], paths: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield a note on each method with files for less than half of the scenes, which may be no method at all."""
+    scenes = {scene for scene, _ in paths}
+    counts = Counter(method for _, method in paths)
+    for method in methods:
+        if 2 * counts[method] < len(scenes):
+            yield (
+                f"{{method}} also matched {method}, which has files for {counts[method]} of {len(scenes)} scenes: if it"
+                " is no method, name the methods as NAME=PATTERN"
+            )
 
 
 def _is_same_file(path: str, reference: tuple[str, str] | None) -> bool:

@@ -91,6 +91,7 @@ class PairEvaluation:
         counts: numbers of points and other intermediate values by name.
         notes: what a reader of the scores has to know.
         folder: folder with its own report, relative to that of the evaluation; empty if there is none.
+        failed_metrics: names of user-defined metrics that failed; notes say why.
     """
 
     scene: str
@@ -107,6 +108,7 @@ class PairEvaluation:
     counts: Mapping[str, float | None] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     folder: str = ""
+    failed_metrics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

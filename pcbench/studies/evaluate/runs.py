@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,7 @@ def evaluate_pairs(
     scratch: Path,
     workers: Workers | None,
     step: Callable[[str], None],
+    columns: Sequence[str] = (),
 ) -> list[PairRecord]:
     """Evaluate all pairs that have no result of the same inputs yet, and return the results of all in their order.
 
@@ -84,8 +86,10 @@ def evaluate_pairs(
         scratch: existing folder for temporary files.
         workers: where they are evaluated; None: in this process, one after another.
         step: progress callback.
+        columns: names of scores that the user asked for, which the first pair with scores must have.
 
     Raises:
+        InputError: no score has one of these names.
         WorkerError: a cluster cannot be used.
         OSError: a result cannot be written.
     """
@@ -100,7 +104,26 @@ def evaluate_pairs(
         cell_seconds=_PAIR_SECONDS,
         on_failure=lambda task, error: _without_scores(shared, task, FAILED, str(error)),
     )
-    return list(results)
+    records: list[PairRecord] = []
+    with closing(results):  # ends the workers if a name is unknown
+        for record in results:
+            if all(earlier.pair.status != OK for earlier in records):
+                check_columns(columns, record)
+            records.append(record)
+    return records
+
+
+def check_columns(names: Iterable[str], record: PairRecord) -> None:
+    """Check that the scores of a pair have all of these names, if it has scores; those of failed metrics are unknown.
+
+    Raises:
+        InputError: one is unknown.
+    """
+    stored = [column.name for column in record.columns]
+    failed = tuple(f"own.{metric}." for metric in record.pair.failed_metrics)
+    for name in names if stored else ():
+        if name not in stored and not name.startswith(failed):
+            raise InputError(f"no score is called {name!r}: expected --columns of {', '.join(stored)}")
 
 
 def pair_tasks(pairs: Iterable[PlannedPair], *, is_stored: bool) -> list[PairTask]:
@@ -181,6 +204,7 @@ def _evaluate(shared: SharedSettings, task: PairTask, step: Callable[[str], None
         evaluation_s=time.perf_counter() - start,
         counts={count.name: count.value for count in evaluation.counts},
         notes=(*notes, *map(one_line, evaluation.notes)),
+        failed_metrics=evaluation.failed_metrics,
         folder=task.folder,
     )
     return PairRecord(result, evaluation.protocol, _columns(evaluation.scores), _columns(evaluation.counts))

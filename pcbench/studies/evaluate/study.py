@@ -39,9 +39,9 @@ from pcbench.studies.evaluate.results import (
     ProtocolInfo,
     ScoreColumn,
 )
-from pcbench.studies.evaluate.runs import SharedSettings, check_crop, evaluate_alone, evaluate_pairs
+from pcbench.studies.evaluate.runs import SharedSettings, check_columns, check_crop, evaluate_alone, evaluate_pairs
 from pcbench.studies.evaluate.table import evaluate_csv, evaluate_latex, means_csv
-from pcbench.studies.evaluate.words import answer, warnings
+from pcbench.studies.evaluate.words import answer, matched_methods, warnings
 from pcbench.studies.frame.code import measuring_code_digest
 from pcbench.studies.frame.folder import check_folder, study_folder
 from pcbench.studies.frame.publish import StudyOutcome, draw_here, publish
@@ -91,8 +91,8 @@ def evaluate(
         step: progress callback.
 
     Raises:
-        InputError: no file matches, or a setting is not usable. With a single pair also if it cannot be evaluated;
-            otherwise such a pair has a message in the result.
+        InputError: no file matches, a setting is not usable, or no score has a name of `columns`. With a single pair
+            also if it cannot be evaluated; otherwise such a pair has a message in the result.
         OSError: a file cannot be written.
     """
     text = protocol if isinstance(protocol, str) else protocol_text(protocol)
@@ -188,11 +188,13 @@ def _evaluate_all(
     metrics = tuple(OwnMetric.of(metric).text for metric in check_metrics(settings.metrics))
     shared = shared_settings(stored, settings.protocol, data, settings.seed, metrics)
     if len(pairs) == 1 and settings.cluster is None:
-        return [evaluate_alone(shared, pairs[0], step)]
+        record = evaluate_alone(shared, pairs[0], step)
+        check_columns(settings.columns, record)
+        return [record]
     count = settings.workers
     if count is None and settings.cluster is None:
         count = min(cpu_count(), len(pairs))
-    return evaluate_pairs(pairs, shared, scratch, Workers(count, settings.cluster), step)
+    return evaluate_pairs(pairs, shared, scratch, Workers(count, settings.cluster), step, settings.columns)
 
 
 def shared_settings(
@@ -253,9 +255,8 @@ def _study(
     columns = _all_columns(records)
     names = [column.name for column in columns]
     notes = list(plan.notes)
-    for name in settings.columns:
-        if columns and name not in names:
-            notes.append(f"no score is called {name!r}: expected --columns of {', '.join(names)}")
+    if columns:
+        notes += [f"no pair has the score {name!r}" for name in settings.columns if name not in names]
     settings = replace(settings, columns=tuple(name for name in settings.columns if name in names))
     info = ProtocolInfo(
         protocol_text(protocol), protocol.title, protocol.citation, protocol.version, _setting_texts(protocol)
@@ -272,7 +273,8 @@ def _study(
         level=LEVEL,
         provenance=provenance(settings.seed),
     )
-    return replace(study, sentences=tuple(answer(study)), warnings=tuple(warnings(study, notes)))
+    sentences = (*answer(study), *matched_methods(plan.matched_methods))
+    return replace(study, sentences=sentences, warnings=tuple(warnings(study, notes)))
 
 
 def _setting_texts(protocol: BenchmarkProtocol) -> dict[str, str]:

@@ -8,7 +8,7 @@ from statistics import median
 
 from pcbench.report.article import Mark, TableCell
 from pcbench.report.html import PAGE
-from pcbench.report.markup import csv_text, latex
+from pcbench.report.markup import csv_text, latex, latex_row, latex_tabular
 from pcbench.report.words import UNKNOWN, interval_text
 from pcbench.studies.evaluate.results import FAILED, MISSING, OK, MethodComparison, MethodMean, ScoreColumn, ScoreRow
 
@@ -156,19 +156,9 @@ def _paper_rows(study: MethodComparison, column: ScoreColumn) -> Iterator[list[T
 
 
 def _latex_table(rows: Sequence[Sequence[TableCell]], title: str) -> str:
-    header, *body = rows
-    lines = [
-        f"% {title}",
-        rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}",
-        r"\toprule",
-        " & ".join(_latex_cell(cell) for cell in header) + r" \\",
-        r"\midrule",
-        *(" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in body),
-        r"\bottomrule",
-        r"\end{tabular}",
-        "",
-    ]
-    return "\n".join(lines)
+    header, *body = (latex_row(map(_latex_cell, row)) for row in rows)
+    table = latex_tabular(f"l{'r' * (len(rows[0]) - 1)}", [header], body)
+    return f"% {title}\n{table}"
 
 
 def _latex_cell(cell: TableCell) -> str:

@@ -74,6 +74,12 @@ def scenes_text(count: int) -> str:
     return "one scene" if count == 1 else f"{count} scenes"
 
 
+def matched_methods(names: Sequence[str]) -> Iterator[str]:
+    """Yield which methods the placeholder {method} stood for, if there are any."""
+    if names:
+        yield f"{{method}} matched {join_words(names, _MAX_LINES)}."
+
+
 def warnings(study: MethodComparison, notes: Sequence[str] = ()) -> Iterator[str]:
     """Yield what not to trust: pairs without scores, and means over fewer scenes than there are.
 

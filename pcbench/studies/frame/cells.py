@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -42,7 +42,7 @@ def map_cells(
     step: Callable[[str], None],
     cell_seconds: float,
     on_failure: Callable[[C, PcbenchError], R] | None = None,
-) -> Iterator[R]:
+) -> Generator[R, None, None]:
     """Yield the results of a study's cells in their order.
 
     Each cell stores its own result in the folder of the study, so that a later run resumes. If it runs on a worker, it

@@ -4,6 +4,7 @@ import pytest
 from wording import check_error, check_text
 
 from pcbench.studies.evaluate.plan import plan_csv, plan_patterns
+from pcbench.studies.evaluate.words import matched_methods
 
 
 @pytest.fixture
@@ -34,6 +35,14 @@ def test_scenes_match_by_their_number_and_missing_files_are_pairs(files):
     ]
     assert plan.pairs[0].crop == "polygon:001_a.json"
     check_text("\n".join((*plan.notes, plan.pairs[1].missing)))
+
+
+def test_folders_that_hardly_fit_are_noted(files):
+    (files / "old/scan10").mkdir(parents=True)
+    (files / "old/scan10/mesh.ply").touch()
+    plan = plan_patterns("gt/scan{scene}.ply", ["{method}/scan{scene}/mesh.ply"])
+    assert plan.matched_methods == ("a", "b", "old")
+    check_text("\n".join((*plan.notes, *matched_methods(plan.matched_methods))))
 
 
 def test_methods_have_a_pattern_each(files):
