@@ -107,21 +107,21 @@ def cpu_count() -> int:
 
 def memory_limit() -> int | None:
     """Return the limit of this process's address space in bytes; None without a limit."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if limit == resource.RLIM_INFINITY else limit
+    return _limit("RLIMIT_AS")
 
 
 def file_size_limit() -> int | None:
     """Return the limit of the size of files that this process writes, in bytes; None without a limit."""
+    return _limit("RLIMIT_FSIZE")
+
+
+def _limit(kind: str) -> int | None:
+    """Return a limit of <sys/resource.h>; None without one, or if the system has none."""
     try:
         import resource
     except ImportError:
         return None
-    limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limit, _ = resource.getrlimit(getattr(resource, kind))
     return None if limit == resource.RLIM_INFINITY else limit
 
 

@@ -231,11 +231,9 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
 
 def group_rows(cells: IntArray) -> tuple[IntArray, IntArray]:
     """Return an order (N,) that sorts equal rows together, and the start of each group."""
-    corner = cells.min(axis=0)
-    _, rows, layers = cells.max(axis=0) - corner + 1
-    keys = (cells - corner) @ [rows * layers, layers, 1]
-    order = np.argsort(keys, kind="stable")
-    return order, np.flatnonzero(np.diff(keys[order], prepend=-1))
+    order = np.lexsort(cells.T[::-1])
+    changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
+    return order, np.flatnonzero(np.concatenate([[True], changed]))
 
 
 def tile_of_cells(cells: IntArray, factor: int) -> IntArray:

@@ -13,6 +13,8 @@ from __future__ import annotations
 import struct
 import warnings
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -85,6 +87,17 @@ def read_image_header(path: Path) -> ImageHeader:
     return header
 
 
+@contextmanager
+def no_pixel_limit() -> Iterator[None]:
+    """Disable Pillow's pixel limit, which is lower than the size of survey images."""
+    pillow = require("PIL.Image")
+    original_limit, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
+    try:
+        yield
+    finally:
+        pillow.MAX_IMAGE_PIXELS = original_limit
+
+
 def _png(file: BinaryIO) -> ImageHeader:
     chunk = file.read(16)
     if len(chunk) < 16 or chunk[4:8] != b"IHDR":
@@ -148,8 +161,8 @@ def _with_pillow(file: BinaryIO) -> ImageHeader:
     """Read the header of a TIFF or WebP file."""
     pillow = require("PIL.Image")
     try:
-        with warnings.catch_warnings(), pillow.open(file) as image:
-            warnings.simplefilter("ignore")  # Pillow warns about damaged EXIF blocks and large images
+        with warnings.catch_warnings(), no_pixel_limit(), pillow.open(file) as image:
+            warnings.simplefilter("ignore")  # Pillow warns about damaged EXIF blocks
             pages, mode = getattr(image, "n_frames", 1), image.mode
             exif = image.getexif()
             exif.get_ifd(GPS_DIRECTORY)  # loads it

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.extras import require
-from pcbench.io.image_header import PILLOW_ERRORS
+from pcbench.io.image_header import PILLOW_ERRORS, no_pixel_limit
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -118,11 +116,11 @@ def find_decoding_error(path: Path) -> str | None:
     """
     pillow = require("PIL.Image")
     try:
-        with _no_pixel_limit(), pillow.open(path) as image:
+        with no_pixel_limit(), pillow.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
                 return f"too large ({image.width} x {image.height} pixels, at most {MAX_PIXELS / 1e6:.0f} million)"
             image.verify()
-        with _no_pixel_limit(), pillow.open(path) as image:
+        with no_pixel_limit(), pillow.open(path) as image:
             image.load()
     except MemoryError:
         return f"too large ({path.stat().st_size} bytes do not fit into memory)"
@@ -187,7 +185,7 @@ def _resized_exif(path: Path, size: Size) -> bytes:
 def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
     pillow = require("PIL.Image")
     try:
-        with _no_pixel_limit(), pillow.open(path) as file:
+        with no_pixel_limit(), pillow.open(path) as file:
             if file.width * file.height > MAX_PIXELS:
                 raise InputError(
                     f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
@@ -222,14 +220,3 @@ def _convert(image: Image, mode: str) -> Image:
         black = pillow.new("RGBA", image.size, (0, 0, 0, 255))
         image = pillow.alpha_composite(black, image.convert("RGBA")).convert("RGB")
     return image.convert(mode)
-
-
-@contextmanager
-def _no_pixel_limit() -> Iterator[None]:
-    """Disable Pillow's pixel limit, which is lower than the size of survey images."""
-    pillow = require("PIL.Image")
-    original_limit, pillow.MAX_IMAGE_PIXELS = pillow.MAX_IMAGE_PIXELS, None
-    try:
-        yield
-    finally:
-        pillow.MAX_IMAGE_PIXELS = original_limit

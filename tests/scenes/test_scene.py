@@ -14,7 +14,7 @@ from wording import check_error, check_text
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.io.image_header import read_image_header
+from pcbench.io.image_header import no_pixel_limit, read_image_header
 from pcbench.scenes import read_scene
 
 
@@ -163,6 +163,9 @@ def test_image_headers(tmp_path):
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.jpg", exif=exif)
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.webp", exif=exif)
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.tif", exif=exif.tobytes())
+    with no_pixel_limit():
+        Image.new("1", (20_000, 20_000)).save(tmp_path / "large.tif", compression="group4")
+    assert read_image_header(tmp_path / "large.tif")[:2] == (20_000, 20_000)  # more than Pillow opens by default
     for name in ("gps.jpg", "gps.webp", "gps.tif"):
         assert read_image_header(tmp_path / name).gps == pytest.approx((-33.51, 151.0, -12.5))
     data = (tmp_path / "a.jpg").read_bytes()

@@ -6,7 +6,7 @@ from typing import Any
 
 from pcbench.report.plot.rounding import round_length
 
-_DARK = "#111111"
+DARK = "#111111"
 _PAPER_WIDTH = 2.2
 
 
@@ -28,17 +28,17 @@ def draw_scale_bar(axis: Any, unit: str | None) -> None:
     corner = (x - 0.015 * width, y - thick)
     ground: Any = {"color": "white", "alpha": 0.75, "lw": 0, "zorder": 5}
     axis.add_patch(Rectangle(corner, length + 0.03 * width, 5.2 * thick, **ground))
-    for part, color in ((0, _DARK), (1, "white")):
+    for part, color in ((0, DARK), (1, "white")):
         half = (x + 0.5 * part * length, y)
-        axis.add_patch(Rectangle(half, 0.5 * length, thick, facecolor=color, edgecolor=_DARK, lw=0.8, zorder=5))
+        axis.add_patch(Rectangle(half, 0.5 * length, thick, facecolor=color, edgecolor=DARK, lw=0.8, zorder=5))
     label = f"{length:g} {unit or 'units'}"
-    axis.text(x + 0.5 * length, y + 1.5 * thick, label, fontsize=8, ha="center", va="bottom", color=_DARK, zorder=5)
+    axis.text(x + 0.5 * length, y + 1.5 * thick, label, fontsize=8, ha="center", va="bottom", color=DARK, zorder=5)
 
 
 def draw_north_arrow(axis: Any) -> None:
     """Draw an arrow to the north at the upper right of axes."""
     axis.annotate(
         "N", xy=(0.965, 0.97), xytext=(0.965, 0.86), xycoords="axes fraction", ha="center", va="center", fontsize=11,
-        fontweight="bold", color=_DARK, path_effects=paper(), zorder=5,
-        arrowprops={"arrowstyle": "-|>", "color": _DARK, "linewidth": 1.8, "path_effects": paper()},
+        fontweight="bold", color=DARK, path_effects=paper(), zorder=5,
+        arrowprops={"arrowstyle": "-|>", "color": DARK, "linewidth": 1.8, "path_effects": paper()},
     )  # fmt: skip

@@ -16,7 +16,7 @@ from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import drawing_style
-from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar
+from pcbench.report.plot.plan_marks import DARK, draw_north_arrow, draw_scale_bar, paper
 from pcbench.studies.frame.canvas import (
     blank_figure,
     chart_pictures,
@@ -73,7 +73,7 @@ def _charts(folder: Path, look: Figures, study: QualityStudy) -> Iterator[tuple[
                 yield f"{kind}_{cloud.name}", _map(plan, cloud, kind, (low, high), dark)
     for cloud, plans_of in zip(study.clouds, maps, strict=True):
         if (cloud.voids or cloud.water_voids) and plans_of.voids is not None:
-            yield f"voids_{cloud.name}", _void_map(plans_of, cloud, dark)
+            yield f"voids_{cloud.name}", _void_map(plans_of, cloud)
 
 
 def _map(plan: PlanMap, cloud: MeasuredCloud, kind: str, limits: tuple[float, float], dark: str) -> Any:
@@ -101,13 +101,13 @@ def _map(plan: PlanMap, cloud: MeasuredCloud, kind: str, limits: tuple[float, fl
     if kind == "thickness" and cloud.double_walls:
         places = np.array([wall.centre for wall in cloud.double_walls[:_MAX_NUMBERED]])
         axis.plot(places[:, 0], places[:, 1], "o", color=dark, fillstyle="none", markersize=9, label="double wall")
-        _number(axis, plan, places[:, :2], dark)
+        _number(axis, plan, places[:, :2])
         figure.legend(loc="outside lower center", frameon=False, fontsize=9)
     _finish(axis, plan, cloud)
     return figure
 
 
-def _void_map(maps: QualityMaps, cloud: MeasuredCloud, dark: str) -> Any:
+def _void_map(maps: QualityMaps, cloud: MeasuredCloud) -> Any:
     """Draw the voids on the density in grey, with their numbers."""
     from matplotlib.colors import ListedColormap
 
@@ -125,12 +125,12 @@ def _void_map(maps: QualityMaps, cloud: MeasuredCloud, dark: str) -> Any:
     shown = np.where(plan.values > 0, plan.values, np.nan)
     colors = ListedColormap([VERMILION, BLUE])
     axis.imshow(shown, cmap=colors, vmin=0.5, vmax=2.5, extent=(west, east, south, north), interpolation="nearest")
-    _number(axis, plan, np.array([(void.x, void.y) for void in cloud.voids[:_MAX_NUMBERED]]).reshape(-1, 2), dark)
+    _number(axis, plan, np.array([(void.x, void.y) for void in cloud.voids[:_MAX_NUMBERED]]).reshape(-1, 2))
     _finish(axis, plan, cloud)
     return figure
 
 
-def _number(axis: Any, plan: PlanMap, places: FloatArray, dark: str) -> None:
+def _number(axis: Any, plan: PlanMap, places: FloatArray) -> None:
     """Write numbers beside places (N, 2), from the first on, where they do not cover an earlier one."""
     west, east, south, north = plan.extent
     size = np.array([east - west, north - south])
@@ -144,7 +144,7 @@ def _number(axis: Any, plan: PlanMap, places: FloatArray, dark: str) -> None:
         side, height = ("right" if at_side[0] else "left"), ("top" if at_side[1] else "bottom")
         axis.annotate(
             str(number), place, xytext=(-6 if at_side[0] else 6, -5 if at_side[1] else 5), textcoords="offset points",
-            ha=side, va=height, fontsize=8.5, color=dark,
+            ha=side, va=height, fontsize=8.5, color=DARK, path_effects=paper(),
         )  # fmt: skip
 
 
