@@ -16,7 +16,7 @@ from pcbench.extras import LIBRARIES, import_problem, require
 NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 SYSTEM_LIBRARIES = ("libusb-1.0.so.0", "libGL.so.1", *_OPENGL)
-_PEERS = ("fricp_cpp", "point_cloud_utils", "small_gicp")  # compared in the stress study if they are installed
+PEERS = ("fricp_cpp", "point_cloud_utils", "small_gicp")  # compared in the stress study if they are installed
 _TEST_LIBRARIES = ("laspy", "skimage.metrics", "nbclient")
 
 
@@ -56,6 +56,6 @@ def break_system_libraries(folder, names=SYSTEM_LIBRARIES):
 
 
 if __name__ == "__main__":
-    required = (library for library in (*LIBRARIES, *_TEST_LIBRARIES) if library not in _PEERS)
+    required = (library for library in (*LIBRARIES, *_TEST_LIBRARIES) if library not in PEERS)
     problems = [line for library in required if (line := import_problem(library))]
     sys.exit("\n".join(problems) or 0)

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from optional import NO_LIBUSB, SYSTEM_LIBRARIES, break_library, break_system_libraries
+from optional import NO_LIBUSB, PEERS, SYSTEM_LIBRARIES, break_library, break_system_libraries
 from repository import ROOT, TESTS
 from wording import check_error, check_text
 
@@ -75,6 +75,11 @@ def test_named_extras_exist():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for name, extra in LIBRARIES.values():
         assert not extra or any(name in line for line in extras[extra])
+
+
+def test_tests_install_all_optional_libraries_but_peers():
+    pins = (line.partition("==")[0] for line in (ROOT / "constraints.txt").read_text().splitlines())
+    assert {library.name for module, library in LIBRARIES.items() if module not in PEERS} <= set(pins)
 
 
 @pytest.mark.long
