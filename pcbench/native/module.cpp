@@ -32,6 +32,23 @@ auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
         data, {count}, nb::capsule(data, [](void* p) noexcept { pcbench::AlignedFree()(p); }));
 }
 
+// At least `bytes` of memory for each thread, on separate pages.
+class ThreadScratch {
+public:
+    explicit ThreadScratch(size_t bytes) {
+        const size_t stride = (bytes + 4095) / 4096 * 4096 / sizeof(double);
+        const size_t threads = static_cast<size_t>(omp_get_max_threads());
+        memory_ = pcbench::allocate<double>(stride * threads);
+        for (size_t t = 0; t < threads; ++t) threads_.push_back(memory_.get() + t * stride);
+    }
+
+    double* const* data() const { return threads_.data(); }
+
+private:
+    pcbench::Block<double> memory_;
+    std::vector<double*> threads_;
+};
+
 class PointIndex {
 public:
     explicit PointIndex(Points points) : points_(points) {
@@ -101,10 +118,12 @@ public:
         check(distances.shape(0) == count && indices.shape(0) == count && indices.shape(1) == k,
               "knearest: expected one row per query and k columns");
         check(k > 0 && k <= tree().count, "knearest: expected k from 1 to the number of points");
+        const pcbench::Kernels& kernels = pcbench::kernels();
+        const ThreadScratch scratch(kernels.knearest_scratch_bytes(k));
         for_query_batches(
             queries, [&](const pcbench::SortedPoints& batch, size_t offset, pcbench::Interrupt& interrupt) {
-                pcbench::kernels().knearest(tree(), batch.leaves.get(), batch.leaf_count, k,
-                                            distances.data() + k * offset, indices.data() + k * offset, interrupt);
+                kernels.knearest(tree(), batch.leaves.get(), batch.leaf_count, k, distances.data() + k * offset,
+                                 indices.data() + k * offset, scratch.data(), interrupt);
             });
     }
 
@@ -141,11 +160,7 @@ public:
                 std::copy_n(tree().points + 3 * rows->data()[i], 3, selected_points.get() + 3 * i);
         }
         const pcbench::Kernels& kernels = pcbench::kernels();
-        const size_t stride = (kernels.plane_scratch_bytes(k) + 4095) / 4096 * 4096 / sizeof(double);
-        const size_t threads = static_cast<size_t>(omp_get_max_threads());
-        const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
-        std::vector<double*> scratch;
-        for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+        const ThreadScratch scratch(kernels.plane_scratch_bytes(k));
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
                 kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),

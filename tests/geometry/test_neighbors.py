@@ -63,8 +63,9 @@ def test_nearest_equals_brute_force(shape, n):
     assert_matches(Index(points).query(queries), brute_force_nearest(queries, points))
 
 
-@pytest.mark.parametrize("k", [2, 5, 20, 200])
+@pytest.mark.parametrize("k", [2, 8, 40, 200])
 def test_k_nearest_equals_brute_force(shape, k):
+    """Few are found by a sorted list, more by groups of eight queries, and many by a buffer for each query."""
     rng = np.random.default_rng(k)
     points = shape(rng, 1500)
     queries = near_and_far_queries(rng, points, 60)
@@ -86,7 +87,8 @@ def test_matches_of_any_finite_coordinates_equal_brute_force(points, queries):
     index = Index(points)
     assert_matches(index.query(queries), brute_force_nearest(queries, points))
     if len(points) > 1:
-        assert_matches(index.query(queries, 2), brute_force_nearest(queries, points, 2))
+        for k in (2, len(points) // 2 + 1):
+            assert_matches(index.query(queries, k), brute_force_nearest(queries, points, k))
 
 
 def test_many_points_agree_with_scipy():
@@ -111,7 +113,7 @@ def test_a_hint_does_not_change_the_result(shape):
 
 
 def test_few_queries_of_many_points_equal_brute_force(shape):
-    """Fewer queries than a fiftieth of the points are searched for one by one, not in groups of eight."""
+    """Fewer queries than a fiftieth of the points, a twentieth for k > 1, are searched for one by one."""
     rng = np.random.default_rng(8)
     points = shape(rng, 4000)
     index = Index(points)
@@ -119,6 +121,7 @@ def test_few_queries_of_many_points_equal_brute_force(shape):
         queries = near_and_far_queries(rng, points, n)
         expected = brute_force_nearest(queries, points)
         assert_matches(index.query(queries), expected)
+        assert_matches(index.query(queries, 30), brute_force_nearest(queries, points, 30))
         for hint in (expected[1], rng.integers(0, len(points), len(queries))):
             assert_matches(index.query(queries, hint=hint), expected)
             assert_matches(index.nearest_of_moved(Index(queries), np.eye(4), hint)[1], expected)

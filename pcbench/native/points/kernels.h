@@ -18,8 +18,10 @@ struct Kernels {
     void (*build_upper_levels)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties, Interrupt&);
+    // Each thread has its own scratch memory of knearest_scratch_bytes(k).
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
-                     Interrupt&);
+                     double* const* scratch, Interrupt&);
+    size_t (*knearest_scratch_bytes)(size_t k);
     // If `rows` is null, both functions write the number of points found for query i to offsets[i + 1]. Otherwise they
     // write the rows of these points, from rows[offsets[i]] on, in no particular order.
     void (*in_balls)(const Tree&, const Leaf* centres, size_t leaf_count, double radius, int64_t* offsets,

@@ -3,7 +3,7 @@
 #pragma once
 #include "common/interrupt.h"
 #include "points/group.h"
-#include "points/knearest.h"
+#include "points/neighbor_lists.h"
 
 namespace pcbench::PCB_ISA {
 
