@@ -76,6 +76,7 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
     points = sample.points
     is_off, p = np.zeros(len(points), bool), np.ones(len(points))
     noise, level = _regional_noise(sample, offsets), sample.smooth(offsets.signed)
+    by_offset, by_own = np.argsort(offsets.signed), np.argsort(offsets.own)
     side, largest = _FIRST_SIDE * sample.side, _MAX_EXTENT_SHARE * robust_extent(points)
     while side <= max(largest, _FIRST_SIDE * sample.side):
         grid = cells(points, side)
@@ -84,13 +85,13 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
         tested = (sheet >= _MIN_POINTS) & (sheet >= _MIN_SHEET_SHARE * grid.counts)
         if np.count_nonzero(tested) < _MIN_CELLS:
             break
-        rows = np.flatnonzero(offsets.is_sheet & tested[cell_of_point])
+        rows = by_offset[(offsets.is_sheet & tested[cell_of_point])[by_offset]]
         median = _group_quantiles(offsets.signed[rows], cell_of_point[rows], count, 0.5)
         sigma = grid.means(noise)
         relative = np.maximum(sigma / max(float(np.median(sigma[tested])), 1e-300), 1e-300)
         scatter = relative * shortest_width((median / relative)[tested])
         error = np.maximum(_MEDIAN_ERROR * sigma / np.sqrt(np.maximum(sheet, 1)), scatter) + 1e-300
-        own = _group_quantiles(offsets.own, cell_of_point, count, 0.9)
+        own = _group_quantiles(offsets.own[by_own], cell_of_point[by_own], count, 0.9)
         size = np.abs(median)
         off = tested & (size >= _MIN_Z * error) & (size >= np.maximum(_MIN_SIGMAS * sigma, _MIN_OWN_RATIO * own))
         hit = off[cell_of_point] & (level * np.sign(median[cell_of_point]) >= _MIN_LEVEL_SHARE * size[cell_of_point])
@@ -108,10 +109,13 @@ def _two_sided_p(deviates: FloatArray) -> FloatArray:
 def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
     """Return (N,) standard deviations of a point's noise: the median of the cells in its region."""
     grid = cells(sample.points, _FIRST_SIDE * sample.side)
-    count, sheet = len(grid.first), offsets.is_sheet
-    median = _group_quantiles(offsets.signed[sheet], grid.of_point[sheet], count, 0.5)
-    deviations = np.abs(offsets.signed - median[grid.of_point])
-    spread = _group_quantiles(deviations[sheet], grid.of_point[sheet], count, 0.5)
+    count, sheet = len(grid.first), np.flatnonzero(offsets.is_sheet)
+
+    def medians(values: FloatArray) -> FloatArray:
+        ascending = sheet[np.argsort(values[sheet])]
+        return _group_quantiles(values[ascending], grid.of_point[ascending], count, 0.5)
+
+    spread = medians(np.abs(offsets.signed - medians(offsets.signed)[grid.of_point]))
     populated = np.flatnonzero(np.bincount(grid.of_point[sheet], minlength=count) >= _MIN_POINTS)
     if not len(populated):
         return np.full(len(sample), shortest_width(offsets.signed))
@@ -123,14 +127,14 @@ def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
     return np.maximum(noise, least)
 
 
-def _group_quantiles(values: FloatArray, group: IntArray, count: int, share: float) -> FloatArray:
-    """Return a quantile (G,) of values (N,) in each group; 0 in empty ones."""
-    order = np.lexsort((values, group))
+def _group_quantiles(ascending: FloatArray, group: IntArray, count: int, share: float) -> FloatArray:
+    """Return a quantile (G,) of ascending values (N,) in each group; 0 in empty ones."""
     counts = np.bincount(group, minlength=count)
     starts = np.cumsum(counts) - counts
     quantiles, some = np.zeros(count), counts > 0
     rank = share * (counts[some] - 1)
     low, high = (starts[some] + np.asarray(f(rank), np.int64) for f in (np.floor, np.ceil))
-    ordered = values[order]
+    # numpy sorts integers of 16 bits by radix.
+    ordered = ascending[np.argsort(group.astype(np.min_scalar_type(count)), kind="stable")]
     quantiles[some] = 0.5 * (ordered[low] + ordered[high])
     return quantiles

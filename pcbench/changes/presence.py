@@ -14,7 +14,7 @@ from pcbench.geometry.neighbors import Index
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
 _POINTS_PER_REGION = 50
-_BLOCK_POINTS = 8192  # points whose counterparts are counted at a time
+_BLOCK_POINTS = 32_768  # points whose counterparts are counted at a time
 _MIN_DENSITY_SHARE = 0.5  # of the scene's median ratio: a missing object must not hide itself
 
 
