@@ -38,7 +38,7 @@ private:
 
 // Numbers of neighbours, measured on cities, volumes and clusters: fewest for which groups and buffers are faster than
 // sorted lists, and fewest for which the candidates of a group no longer fit into the cache.
-constexpr size_t kFewestInGroups = 8, kFewestInBuffer = 20, kTooManyForGroups = 64;
+constexpr size_t kFewestInGroups = 8, kFewestInBuffer = 20, kTooManyForGroups = 300;
 
 // Memory of one thread.
 inline size_t knearest_bytes(size_t k) {
