@@ -188,7 +188,8 @@ def sampling_of_profile(nearest: float, profile: FloatArray, count: int) -> Samp
     shown = (ranks >= _MIN_RANK) & (ranks <= _MAX_RANK_SHARE * count / copies)
     if not shown.any():
         return Sampling(spacing, radius, copies)
-    equivalent = np.median(profile[:, shown], axis=0) * np.sqrt(math.log(2) / (ranks[shown] - _MEDIAN_SHIFT))
+    medians = np.median(profile.T[shown], axis=1, overwrite_input=True)  # of a copy with a row for each rank
+    equivalent = medians * np.sqrt(math.log(2) / (ranks[shown] - _MEDIAN_SHIFT))
     of_surface = float(equivalent.max())
     of_points = spacing if radius > 0 else _median_first(profile, profile > 0)  # so that it follows from the profile
     if of_surface <= _MAX_SURFACE_GROWTH * of_points:
