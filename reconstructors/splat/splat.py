@@ -259,6 +259,8 @@ class GaussianSplatting:
         notes.append(
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
+        model_file = model_folder / MODEL
+        notes.append(f"model for viewers: {model_file}; for the web: pcbench convert {model_file} model.spz")
         background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
         notes += self._background_notes(folders, background)
         if (model_folder / GAINS).is_file():

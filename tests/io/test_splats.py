@@ -114,7 +114,7 @@ def test_splat_is_written_as_another_program_does(tmp_path):
     theirs = theirs[np.argsort(-importance)]
     np.testing.assert_allclose(ours[:, :24].copy().view("<f4"), theirs[:, :24].copy().view("<f4"), rtol=1e-6)
     steps = ours[:, 24:].astype(int) - theirs[:, 24:]
-    assert 0 <= steps.min() and steps.max() <= 1
+    assert steps.min() >= 0 and steps.max() <= 1
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])

@@ -9,6 +9,7 @@ from optional import import_or_skip
 from PIL import Image
 from wording import check_error, check_text
 
+from pcbench.io import read_cloud
 from pcbench.scenes import read_scene
 from pcbench.scenes.views import read_views
 
@@ -85,6 +86,14 @@ def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     monkeypatch.setattr(corner.RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
     with check_error():
         train(hold_out="every")
+
+
+def test_a_note_tells_how_to_write_the_model_for_the_web(train, tmp_path, monkeypatch, run):
+    (note,) = [note for note in train().notes if "pcbench convert" in note]
+    monkeypatch.chdir(tmp_path)
+    command = note.partition("for the web: pcbench ")[2].split()
+    assert run(*command)[0] == 0
+    assert len(read_cloud("model.spz")) == len(read_cloud(command[1]))
 
 
 def test_the_note_gives_the_last_step(train, monkeypatch):
