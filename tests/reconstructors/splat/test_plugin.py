@@ -156,7 +156,7 @@ def test_the_learned_background_is_a_note_and_stays_with_the_model(train, tmp_pa
     texts = []
     for _ in range(2):
         reconstruction = train(background="learned", hold_out="every", density="fixed", steps=100)
-        texts.append(next(note for note in reconstruction.notes if "learned" in note))
+        texts.append(next(note for note in reconstruction.notes if "Gaussians, learned" in note))
     assert check_text(texts[0]) == texts[1]
     color = np.loadtxt(tmp_path / "work/model/background.txt")
     assert texts[0].endswith("({}, {}, {})".format(*np.rint(255 * color).astype(int)))
