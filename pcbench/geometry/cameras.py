@@ -210,7 +210,7 @@ def _remove_brown(target: FloatArray, distortion: tuple[float, ...]) -> FloatArr
 
 
 def _fisheye_radius(angle: FloatArray, distortion: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return the distorted radius (N,) at angles from the optical axis (N,), and its derivative with respect to the angle."""
+    """Return the distorted radius (N,) at angles from the optical axis (N,), and its gradient with respect to them."""
     k1, k2, k3, k4 = distortion
     t2 = angle * angle
     radius = angle * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))

@@ -61,7 +61,7 @@ def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
 def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
     keys = []
 
-    def interrupt(training, checkpoint, key):
+    def interrupt(training, checkpoint, key, show):
         keys.append(key)
         raise InterruptedError
 
