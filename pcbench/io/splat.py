@@ -20,6 +20,7 @@ from pcbench.io.splat_fields import (
     dc_of,
     model_to_write,
     rotations_of,
+    shift_advice,
     splat_fields,
     to_bytes,
     unit_quaternions,
@@ -75,7 +76,7 @@ def write_splat(path: Path, cloud: Cloud, warn: Warn) -> None:
     if step > axis:
         raise InputError(
             f"expected splats near the origin, got coordinates that float32 rounds to {step:.2g}, more than half of the"
-            f" splats measure ({axis:.2g}): shift them, or write them as .ply"
+            f" splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
         )
     others = {"the normals": cloud.normals, "the crs": cloud.crs, "the unit": cloud.unit}
     others |= {name: values for name, values in cloud.attributes.items() if not is_splat_attribute(name)}

@@ -104,6 +104,12 @@ def model_to_write(cloud: Cloud) -> SplatModel:
     return model
 
 
+def shift_advice(points: FloatArray) -> str:
+    """Return what to do with splats at points (N, 3) that are too far from the origin for a format."""
+    offset = ",".join(str(-round(x)) for x in np.median(points, axis=0))
+    return f"shift them with `pcbench convert IN OUT --shift {offset}`, or write them as .ply"
+
+
 def stack_columns(cloud: Cloud, names: Sequence[str]) -> FloatArray:
     """Return attributes of a cloud as columns (N, K)."""
     return np.stack([cloud.attributes[name].astype(np.float64) for name in names], axis=1)

@@ -28,6 +28,7 @@ from pcbench.io.splat_fields import (
     dc_coefficients,
     model_to_write,
     rotations_of,
+    shift_advice,
     splat_fields,
     stack_columns,
     to_bytes,
@@ -284,7 +285,7 @@ def _fractional_bits(points: FloatArray, axis: float) -> int:
     if bits < 0 or (bits < _FRACTIONAL_BITS and 0.5**bits > axis):
         raise InputError(
             f"expected splats near the origin, got coordinates up to {largest:.6g}, which 24 bits round to"
-            f" {2.0**-bits:g}, more than half of the splats measure ({axis:.2g}): shift them, or write them as .ply"
+            f" {2.0**-bits:g}, more than half of the splats measure ({axis:.2g}): {shift_advice(points)}"
         )
     return bits
 

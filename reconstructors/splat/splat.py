@@ -57,7 +57,7 @@ from reconstructors.splat.photographs import (
     select_usable,
     training_pinhole,
 )
-from reconstructors.splat.ply import write_model
+from reconstructors.splat.ply import local_origin, write_model
 from reconstructors.splat.preview import PreviewWriter
 from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
@@ -262,7 +262,9 @@ class GaussianSplatting:
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
         model_file = model_folder / MODEL
-        notes.append(f"model for viewers: {model_file}; for the web: pcbench convert {model_file} model.spz")
+        origin = local_origin(whole.frame.to_world(model.means.cpu().numpy()))
+        shift = f" --shift {','.join(str(-round(x)) for x in origin)}" if origin.any() else ""
+        notes.append(f"model for viewers: {model_file}; for the web: pcbench convert {model_file} model.spz{shift}")
         background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
         notes += self._background_notes(folders, background)
         if (model_folder / GAINS).is_file():

@@ -135,9 +135,25 @@ def test_splat_keeps_splats(tmp_path, dimensions):
 
 def test_splat_far_from_the_origin(tmp_path):
     splats = make_gaussians()
-    with check_error():
+    with check_error() as caught:
         write_cloud(tmp_path / "a.splat", Cloud(splats.points + 5e6, attributes=splats.attributes))
+    assert "--shift -5000006,-5000007,-5000008`" in str(caught.value)
     assert not (tmp_path / "a.splat").exists()
+
+
+def test_shifted_splats_stay_splats(tmp_path, run):
+    splats = make_gaussians()
+    far = Cloud(splats.points + 5e6, attributes=splats.attributes, crs="EPSG:32632", unit="m")
+    write_cloud(tmp_path / "a.ply", far)
+    shifted = ["--shift", "-5000000,-5000000,-5000001"]
+    code, _, err = run("convert", str(tmp_path / "a.ply"), str(tmp_path / "a.splat"), *shifted)
+    assert code == 0
+    check_text(err)
+    cloud = read_cloud(tmp_path / "a.splat")
+    np.testing.assert_array_equal(np.sort(cloud.points, axis=0), splats.points - [0, 0, 1])
+    assert len(splat_model(cloud).opacities) == 5
+    for wrong in ("1,2", "1,2,nan"):
+        assert run("convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--shift", wrong)[0] == 2
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])

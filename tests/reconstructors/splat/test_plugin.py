@@ -96,6 +96,12 @@ def test_a_note_tells_how_to_write_the_model_for_the_web(train, tmp_path, monkey
     assert len(read_cloud("model.spz")) == len(read_cloud(command[1]))
 
 
+def test_the_note_moves_a_model_in_survey_coordinates_to_the_origin(train, monkeypatch):
+    monkeypatch.setattr(plugin, "local_origin", lambda _: np.array([448000.0, 5419000.0, 0.0]))
+    (note,) = [note for note in train().notes if "pcbench convert" in note]
+    assert note.endswith("model.spz --shift -448000,-5419000,0")
+
+
 def test_the_note_gives_the_last_step(train, monkeypatch):
     check_text(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
     converging = Recipe(schedule=Schedule(plateau=np.inf, downscale_shares=(0, 0)))
