@@ -4,9 +4,9 @@ Parts: `city` makes the photographs of `paper`, `tests` runs the tests that need
 gradients of the GPU's kernels with those of the CPU's, `steps` times a training step on both, `paper` trains with the
 settings of Gao et al. 2025 and scores held-out views and the centres, and `surface` scores the surface of that model.
 
-FOLDER keeps photographs, checkpoints and results.json: parts that have results at this commit are not repeated, and
-`paper` continues where the minutes of an earlier call ended. `city` needs VTK and no GPU, the other parts need no VTK:
-make the city anywhere, and copy the folder. `--emulate` runs all parts small and without a GPU, with its kernels
+FOLDER keeps photographs, checkpoints and results.json: parts that have results of this commit and GPU are not repeated,
+and `paper` continues where the minutes of an earlier call ended. `city` needs VTK and no GPU, the other parts need no
+VTK: make the city anywhere, and copy the folder. `--emulate` runs all parts small and without a GPU, with its kernels
 emulated: only to show that they run.
 """
 
@@ -211,7 +211,7 @@ def time_steps(machine: Machine, plan: Plan) -> list[dict[str, Any]]:
     return rows
 
 
-def train(folder: Path, machine: Machine, plan: Plan, clock: Clock) -> dict[str, Any]:
+def train(folder: Path, machine: Machine, plan: Plan, clock: Clock, code: str) -> dict[str, Any]:
     """Train with the recipe of Gao et al. 2025 on the city, or continue; score held-out views and the centres.
 
     Training starts at points of the true surface with noise, in place of the sparse points of structure from motion.
@@ -222,6 +222,7 @@ def train(folder: Path, machine: Machine, plan: Plan, clock: Clock) -> dict[str,
         machine: the device.
         plan: sizes.
         clock: time that is left; a training that it ends continues in the next call.
+        code: commit; the training of another one is not continued.
     """
     city = read_city(folder / "city")
     cameras, work = city.scene.cameras, folder / "work"
@@ -231,7 +232,7 @@ def train(folder: Path, machine: Machine, plan: Plan, clock: Clock) -> dict[str,
     pyramids = read_photographs(folders, cameras, frame, 1, machine.device)
     training = _new_training(city, frame, [p for p in pyramids if p[0].name in split.train], machine, plan)
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
-    checkpoint, progress, key = folder / "paper.pt", folder / "paper.json", f"{commit()} {plan}"
+    checkpoint, progress, key = folder / "paper.pt", folder / "paper.json", f"{code} {machine.name} {plan}"
     seconds, curve = 0.0, []
     if checkpoint.is_file() and progress.is_file() and training.load(checkpoint, key):
         state = json.loads(progress.read_text())
@@ -308,7 +309,7 @@ def find_machine(*, emulate: bool) -> Machine | None:
     return Machine(cuda, torch.device("cuda"), torch.cuda.get_device_name())
 
 
-def describe(machine: Machine | None) -> dict[str, Any]:
+def describe(machine: Machine | None, code: str) -> dict[str, Any]:
     """Return commit, machine and versions."""
     versions = {"python": platform.python_version(), "cuda of torch": torch.version.cuda}
     for library in LIBRARIES:
@@ -316,7 +317,14 @@ def describe(machine: Machine | None) -> dict[str, Any]:
             versions[library] = version(library)
         except PackageNotFoundError:
             versions[library] = None
-    return {"commit": commit(), "machine": setting(), "gpu": machine and machine.name, "versions": versions}
+    return {"commit": code, "machine": setting(), "gpu": machine and machine.name, "versions": versions}
+
+
+def _is_current(part: str, entry: dict[str, Any], about: dict[str, Any], plan: Plan) -> bool:
+    """Return whether a result is of this code and GPU; the city is the same for all, but not for all plans."""
+    if part == "city":
+        return entry["result"]["images"] == plan.images
+    return (entry["commit"], entry["gpu"]) == (about["commit"], about["gpu"])
 
 
 def print_tables(results: Mapping[str, Any]) -> None:
@@ -347,13 +355,14 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, required=True, help="folder for photographs, checkpoints and results")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts to run")
     parser.add_argument("--minutes", type=float, default=60.0, help="time after which no more work is begun")
+    parser.add_argument("--commit", default=commit(), help="name of the code, where git does not know it")
     parser.add_argument("--emulate", action="store_true", help="run small, with emulated kernels, without a GPU")
     options = parser.parse_args()
     machine, clock = find_machine(emulate=options.emulate), Clock(options.minutes)
     if machine is None and set(options.only) != {"city"}:
         print("no GPU: torch finds no CUDA device; --emulate runs all parts small on the CPU", file=sys.stderr)
         return 2
-    plan, about = SMALL if options.emulate else FULL, describe(machine)
+    plan, about = SMALL if options.emulate else FULL, describe(machine, options.commit)
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "results.json"
     results: dict[str, Any] = json.loads(file.read_text()) if file.is_file() else {}
@@ -362,13 +371,12 @@ def main() -> int:
         "tests": lambda: run_tests(options.folder),
         "twins": lambda: compare_twins(machine, large=machine.is_gpu),
         "steps": lambda: time_steps(machine, plan),
-        "paper": lambda: train(options.folder, machine, plan, clock),
+        "paper": lambda: train(options.folder, machine, plan, clock, options.commit),
         "surface": lambda: score_surface(options.folder, machine),
     }
     late = None
     for part in (part for part in PARTS if part in options.only):
-        is_done = part in results and (part == "city" or results[part]["commit"] == about["commit"])
-        if is_done:
+        if part in results and _is_current(part, results[part], about, plan):
             continue
         start = time.monotonic()
         print(f"{part} ...", flush=True)
