@@ -73,6 +73,11 @@ def city(folder: Path, case: str, images: int, size: str) -> City:
         options = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
         arguments = ["synth", "city", "--out", folder, *options, *_options(case).split()]
         subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, arguments)], check=True)
+    return read_city(folder)
+
+
+def read_city(folder: Path) -> City:
+    """Read a photographed city, with the part of its surface that the cameras saw."""
     scene, reference = read_scene(folder), folder / "truth" / "cloud.ply"
     return City(scene, read_truth(reference, mesh_of(folder, reference), scene.cameras, print))
 

@@ -17,7 +17,7 @@ from pcbench.cli.options import (
     quiet_option,
     splat_options,
 )
-from pcbench.options import parse_integers, parse_returns
+from pcbench.options import parse_integers, parse_lengths, parse_returns
 
 
 @click.command(short_help="Write a cloud in another format.")
@@ -50,6 +50,11 @@ from pcbench.options import parse_integers, parse_returns
     metavar="FACTOR",
     help="Multiply x, y and z by FACTOR, about the origin. Their unit is unknown unless --unit or --crs states it.",
 )
+@click.option(
+    "--shift",
+    metavar="X,Y,Z",
+    help="Add X, Y and Z to the coordinates, last, for programs that compute in few digits. The system is left out.",
+)
 @click.option("--drop-nodata", is_flag=True, help="Remove points that stand for missing data, such as z = -9999.")
 @click.option("--drop-zero", is_flag=True, help="Remove points whose x, y and z are all exactly zero.")
 @click.option(
@@ -77,6 +82,7 @@ def convert(
     z_unit: str | None,
     to_unit: str | None,
     scale: float | None,
+    shift: str | None,
     drop_nodata: bool,
     drop_zero: bool,
     drop_duplicates: bool,
@@ -89,18 +95,19 @@ def convert(
     A mesh is written as its vertices, or as points sampled on its surface (--sample).
 
     --crs, --unit and --z-unit state what CLOUD is in, instead of its file; --to-crs and --to-unit change the
-    coordinates. In this order: points are removed, --mirror, --scale, what is stated, --to-crs, --to-unit.
+    coordinates. In this order: points are removed, --mirror, --scale, what is stated, --to-crs, --to-unit, --shift.
 
     \b
     Example: pcbench convert site.xyz site.laz --crs EPSG:4979 --to-crs EPSG:32617+5703
     Example: pcbench convert scan.xyz scan.ply --unit ft --to-unit m
+    Example: pcbench convert model.ply model.spz --shift -448000,-5419000,-300
     """
     from pcbench.errors import InputError
     from pcbench.geometry.mesh_samples import vertex_cloud
     from pcbench.geometry.reflections import reflection
     from pcbench.geometry.removal import without_duplicates, without_zeros
     from pcbench.geometry.reprojection import project
-    from pcbench.geometry.stated_system import convert_unit, scale_coordinates, state_crs, state_unit
+    from pcbench.geometry.stated_system import convert_unit, scale_coordinates, shift_coordinates, state_crs, state_unit
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.io.files import errors_named
     from pcbench.io.las_records import NO_FILTERS, parse_filters
@@ -114,6 +121,7 @@ def convert(
         raise click.UsageError("--accuracy needs --to-crs, the new coordinate system")
     wanted_classes = None if classes is None else parse_integers("--classes", classes)
     wanted_returns = None if returns is None else parse_returns("--returns", returns)
+    offset = None if shift is None else parse_lengths("--shift", shift)
     with errors_named(cloud):
         filters = parse_filters(wanted_classes, wanted_returns)
     source = Source.open(cloud, filters)
@@ -175,6 +183,8 @@ def convert(
                 lines.append(f"transformed by {operation}, {stated}")
             if to_unit is not None:
                 data = convert_unit(data, to_unit)
+            if offset is not None:
+                data = shift_coordinates(data, offset, warn_of_system)
         step(f"writing {out}")
         write_cloud(out, data, on_warning=warn_unless(quiet))
     if not quiet:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.messages import notice_unless, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -21,6 +21,7 @@ from pcbench.cli.options import (
     wgs84_option,
     write_cameras_option,
 )
+from pcbench.cli.training import TrainingPage
 from pcbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -163,7 +164,14 @@ def reconstruct(
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         check_workspace(work)
-        result = run(job, work, time_limit, lambda text: step(f"reconstructing with {name}: {text}"))
+        page = TrainingPage(work, notice_unless(quiet))
+
+        def show(text: str) -> None:
+            step(f"reconstructing with {name}: {text}")
+            page.update()
+
+        result = run(job, work, time_limit, show)
+    page.update(running=False)
     for warning in result.warnings:
         if not (sphere is not None and "--wgs84" in warning):
             warn_unless(quiet)(warning)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -164,6 +164,24 @@ def scale_coordinates(cloud: Cloud, factor: float, warn: Warn) -> Cloud:
         warn(f"left out {stated}, which the file states and scaled coordinates are not in")
     scaled = cloud.transformed(Affine(np.eye(3) * factor, np.zeros(3)))
     return replace(scaled, crs=None, unit=None)
+
+
+def shift_coordinates(cloud: Cloud, offset: Sequence[float], warn: Warn) -> Cloud:
+    """Return a cloud with an offset added to its coordinates, without CRS; its unit and attributes stay.
+
+    Args:
+        cloud: the cloud.
+        offset: numbers to add to x, y and z.
+        warn: called with one line if the file states a CRS, in which the new coordinates are not.
+
+    Raises:
+        InputError: these are not three finite numbers.
+    """
+    if len(offset) != 3 or not np.isfinite(offset).all():
+        raise InputError(f"expected a shift of three finite numbers, got {', '.join(f'{x:g}' for x in offset)}")
+    if cloud.crs is not None:
+        warn(f"left out the system {crs_name(cloud.crs)}, which the file states and shifted coordinates are not in")
+    return replace(cloud, points=cloud.points + np.asarray(offset), crs=None)
 
 
 def _check_degrees(cloud: Cloud, crs: str) -> None:

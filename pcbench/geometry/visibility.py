@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import MAX_FISHEYE_DEG, Camera
 from pcbench.geometry.mesh import MeshIndex
 
 MIN_VISIBLE_VIEWS = 3  # number of cameras that must see a point for multi-view stereo
@@ -60,8 +60,9 @@ def in_frame(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> NDAr
     k = camera.intrinsics
     points_in_camera = camera.cam_from_world.apply(points)
     # Far outside the frame, a distorted projection can fold back into it although no ray of the lens goes there.
+    widest = np.minimum(k.widest, np.tan(np.radians(MAX_FISHEYE_DEG))) if k.fisheye else k.widest
     front = (points_in_camera[:, 2] > 0) & (
-        np.abs(points_in_camera[:, :2]) <= (1.01 + 2 * beyond) * k.widest * points_in_camera[:, 2:]
+        np.abs(points_in_camera[:, :2]) <= (1.01 + 2 * beyond) * widest * points_in_camera[:, 2:]
     ).all(axis=1)
     u, v = camera.project(points)[0].T
     x, y = beyond * k.width, beyond * k.height

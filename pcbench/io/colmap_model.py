@@ -45,7 +45,10 @@ _MODELS_BY_ID = {
     16: ("EUCM", 6),
     17: ("EQUIRECTANGULAR", 2),
 }
-_SUPPORTED_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_ONE_FOCAL_LENGTH = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_ONE_FOCAL_LENGTH_FISHEYE = ("SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_FISHEYE = (*_ONE_FOCAL_LENGTH_FISHEYE, "FISHEYE", "OPENCV_FISHEYE")
+_SUPPORTED_MODELS = (*_ONE_FOCAL_LENGTH, "PINHOLE", "OPENCV", "FULL_OPENCV", *_FISHEYE)
 _LEAST_CAMERA_BYTES = 24 + 2 * 8  # of two parameters
 _LEAST_IMAGE_BYTES = struct.calcsize("<I7di") + 1 + 8  # without name and keypoints
 _PARAMETER_COUNTS = dict(_MODELS_BY_ID.values())
@@ -109,23 +112,27 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
     Raises:
         InputError: `Intrinsics` does not support the model, or the parameter count is wrong.
     """
-    if model not in _SUPPORTED_MODELS or (model == "FULL_OPENCV" and any(p[8:])):
-        supported = ", ".join(_SUPPORTED_MODELS)
-        distorted = " with k3 to k6" if model == "FULL_OPENCV" else ""
+    if model not in _SUPPORTED_MODELS:
         raise InputError(
-            f"expected a camera model of {supported}, got {model}{distorted}: undistort the images with COLMAP's"
-            " image_undistorter"
+            f"expected a camera model of {', '.join(_SUPPORTED_MODELS)}, got {model}: undistort the images with"
+            " COLMAP's image_undistorter"
         )
     if len(p) != _PARAMETER_COUNTS[model]:
         raise InputError(
             f"expected {_PARAMETER_COUNTS[model]} parameters for {model}, got {len(p)}: export the model again"
         )
-    if model == "PINHOLE":
-        return Intrinsics(width, height, p[0], p[1], p[2], p[3])
-    if model in ("OPENCV", "FULL_OPENCV"):
-        return Intrinsics(width, height, p[0], p[1], p[2], p[3], (p[4], p[5], p[6], p[7]))
-    k1, k2 = [*p[3:], 0.0, 0.0][:2]
-    return Intrinsics(width, height, p[0], p[0], p[1], p[2], (k1, k2, 0.0, 0.0))
+    one_focal_length = model in _ONE_FOCAL_LENGTH or model in _ONE_FOCAL_LENGTH_FISHEYE
+    fx, fy, cx, cy, *stated = [p[0], *p] if one_focal_length else p
+    distortion = (*stated, 0.0, 0.0, 0.0, 0.0)[: 8 if any(stated[4:]) else 4]
+    return Intrinsics(width, height, fx, fy, cx, cy, distortion, model in _FISHEYE)
+
+
+def colmap_camera(k: Intrinsics) -> tuple[str, list[float]]:
+    """Return the name of COLMAP's model of a lens and its parameters, in COLMAP's order."""
+    model = "OPENCV_FISHEYE" if k.fisheye else "FULL_OPENCV" if len(k.distortion) == 8 else "OPENCV"
+    if k.is_pinhole:
+        return "PINHOLE", [k.fx, k.fy, k.cx, k.cy]
+    return model, [k.fx, k.fy, k.cx, k.cy, *k.distortion]
 
 
 def _camera(image: ImagePose, intrinsics: Mapping[int, Intrinsics]) -> Camera:
@@ -233,7 +240,7 @@ def check_model_output(folder: Path) -> None:
 def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | None = None) -> None:
     """Write cameras, and points without tracks, as a COLMAP text model. Create the folder if it is missing.
 
-    Image IDs are 1, 2, ... in the given order. Equal intrinsics share one camera (PINHOLE or OPENCV).
+    Image IDs are 1, 2, ... in the given order. Equal intrinsics share one camera.
 
     Raises:
         InputError: the folder is a file, or contains a binary model, which readers would prefer.
@@ -249,9 +256,8 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
         images += [f"{number} {_format_numbers(pose)} {shared} {camera.name}", ""]
     table = ["# Camera list with one line of data per camera:", "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     for k, number in numbers.items():
-        model, distortion = ("PINHOLE", ()) if k.is_pinhole else ("OPENCV", k.distortion)
-        parameters = _format_numbers([k.fx, k.fy, k.cx, k.cy, *distortion])
-        table.append(f"{number} {model} {k.width} {k.height} {parameters}")
+        model, parameters = colmap_camera(k)
+        table.append(f"{number} {model} {k.width} {k.height} {_format_numbers(parameters)}")
     rows = ["# 3D point list with one line of data per point:"]
     rows += ["#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]
     if points is not None:

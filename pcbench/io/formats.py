@@ -32,7 +32,7 @@ from pcbench.io.off import read_off
 from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import look_at_ply, read_ply, read_ply_mesh, read_ply_vertices, write_ply
 from pcbench.io.ptx import read_ptx
-from pcbench.io.splat import read_splat
+from pcbench.io.splat import read_splat, write_splat
 from pcbench.io.spz import read_spz, write_spz
 from pcbench.io.stl import read_stl
 from pcbench.io.text import read_text, write_text
@@ -77,7 +77,7 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".ply": CloudFormat(read_ply, write_ply),
     ".pts": CloudFormat(read_text),
     ".ptx": CloudFormat(read_ptx),
-    ".splat": CloudFormat(read_splat),
+    ".splat": CloudFormat(read_splat, write_splat),
     ".spz": CloudFormat(read_spz, write_spz),
     ".tif": CloudFormat(read_geotiff_points),
     ".tiff": CloudFormat(read_geotiff_points),

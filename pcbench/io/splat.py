@@ -1,4 +1,4 @@
-"""Read .splat files of Gaussian splats: rows of 32 bytes without a header, as antimatter15's viewer defines them.
+"""Read and write .splat files of Gaussian splats: rows of 32 bytes without a header, as antimatter15's viewer has them.
 
 A row has the mean and the standard deviations as float32, colour and opacity as bytes, and a quaternion as bytes.
 """
@@ -10,8 +10,22 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.splats import is_splat_attribute
 from pcbench.io.files import Fields, Warn
-from pcbench.io.splat_fields import dc_of, splat_fields, unit_quaternions
+from pcbench.io.names import left_out_warning
+from pcbench.io.splat_fields import (
+    SH_DC,
+    dc_coefficients,
+    dc_of,
+    model_to_write,
+    rotations_of,
+    shift_advice,
+    splat_fields,
+    to_bytes,
+    unit_quaternions,
+)
+from pcbench.scratch import atomic_write
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scales", "<f4", 3), ("color", "u1", 4), ("quaternion", "u1", 4)])
 _OTHER_FORMATS = {b"ply": ".ply", b"\x1f\x8b": ".spz", b"NGSP": ".spz"}
@@ -45,3 +59,39 @@ def read_splat(path: Path, warn: Warn) -> Fields:
         log_scales = np.log(scales.astype(np.float64))
         quaternions = unit_quaternions((rows["quaternion"].astype(np.float64) - 128) / 128)
         return splat_fields(rows["mean"], dc_of(rows["color"][:, :3]), opacities, log_scales, quaternions)
+
+
+def write_splat(path: Path, cloud: Cloud, warn: Warn) -> None:
+    """Write a cloud of splats, and warn of what is lost.
+
+    The splats are in descending order of their volume times their opacity, as antimatter15's converter sorts them:
+    viewers that draw a file while it loads show the most important ones first.
+
+    Raises:
+        InputError: the cloud has no splats, or is too far from the origin for their size.
+        OSError: the file cannot be written; an existing file is then unchanged.
+    """
+    model = model_to_write(cloud)
+    step, axis = float(np.spacing(np.float32(np.abs(cloud.points).max()))), float(np.median(model.largest_axes))
+    if step > axis:
+        raise InputError(
+            f"expected splats near the origin, got coordinates that float32 rounds to {step:.2g}, more than half of the"
+            f" splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
+        )
+    others = {"the normals": cloud.normals, "the crs": cloud.crs, "the unit": cloud.unit}
+    others |= {name: values for name, values in cloud.attributes.items() if not is_splat_attribute(name)}
+    if model.sh_degree != 0:
+        others["harmonics above degree 0"] = cloud.points
+    if line := left_out_warning("SPLAT", others):
+        warn(line)
+    warn("values are rounded: coordinates and axes to float32, colours, opacities and rotations to 8 bits")
+    rows = np.zeros(len(cloud), _ROW)
+    axes = np.nan_to_num(model.axes, posinf=0)
+    rows["mean"] = cloud.points
+    rows["scales"][:, : model.dimensions] = axes  # discs have a thickness of 0
+    rows["color"][:, :3] = to_bytes(255 * (0.5 + SH_DC * dc_coefficients(cloud)))
+    rows["color"][:, 3] = to_bytes(255 * model.opacities)
+    rows["quaternion"] = to_bytes(128 * rotations_of(cloud) + 128)
+    order = np.argsort(-axes.prod(axis=1) * np.nan_to_num(model.opacities), kind="stable")
+    with atomic_write(path) as file:
+        file.write(rows[order].tobytes())

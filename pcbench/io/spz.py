@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -22,10 +21,18 @@ from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.splats import is_splat_attribute, splat_model
+from pcbench.geometry.splats import is_splat_attribute
 from pcbench.io.files import Fields, Warn
 from pcbench.io.names import left_out_warning
-from pcbench.io.splat_fields import DC, dc_of, splat_fields, unit_quaternions
+from pcbench.io.splat_fields import (
+    dc_coefficients,
+    model_to_write,
+    rotations_of,
+    shift_advice,
+    splat_fields,
+    stack_columns,
+    to_bytes,
+)
 from pcbench.scratch import atomic_write
 
 _MAGIC = 0x5053474E  # "NGSP"
@@ -233,14 +240,7 @@ def write_spz(path: Path, cloud: Cloud, warn: Warn) -> None:
         InputError: the cloud has no splats, or is too far from the origin for their size.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
-    model = splat_model(cloud)
-    rotation = [f"rot_{k}" for k in range(4)]
-    if model is None or not cloud.attributes.keys() >= set(rotation):
-        moved = " (a transform drops axes and rotations)" if "opacity" in cloud.attributes else ""
-        raise InputError(
-            "expected Gaussian splats with opacity, scale_0 to scale_2 and rot_0 to rot_3, got a cloud without these"
-            f"{moved}: write it as .ply"
-        )
+    model = model_to_write(cloud)
     bits = _fractional_bits(cloud.points, float(np.median(model.largest_axes)))
     degree = min(model.sh_degree or 0, _MAX_WRITTEN_DEGREE)
     others = {"the normals": cloud.normals, "the crs": cloud.crs, "the unit": cloud.unit}
@@ -254,17 +254,14 @@ def write_spz(path: Path, cloud: Cloud, warn: Warn) -> None:
         f" opacities and colours to 8 bits, rotations to 10 bits{', harmonics to 5 and 4 bits' if degree else ''}"
     )
     flat = np.zeros((len(cloud), 3 - model.dimensions))  # discs get the smallest axis that the format stores
-    quaternions = unit_quaternions(np.nan_to_num(_columns(cloud, rotation), posinf=0, neginf=0)) * [
-        1,
-        *(_AXES.prod() * _AXES),
-    ]
+    quaternions = rotations_of(cloud) * [1, *(_AXES.prod() * _AXES)]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         log_scales = np.log(np.column_stack([model.axes, flat]))
         parts: list[NDArray[Any]] = [
             _fixed(cloud.points * _AXES, bits),
-            _to_bytes(255 * model.opacities),
-            _to_bytes(255 * (_COLOR_SCALE * _dc(cloud) + 0.5)),
-            _to_bytes(_LOG_SCALE_STEPS * (log_scales - _LEAST_LOG_SCALE)),
+            to_bytes(255 * model.opacities),
+            to_bytes(255 * (_COLOR_SCALE * dc_coefficients(cloud) + 0.5)),
+            to_bytes(_LOG_SCALE_STEPS * (log_scales - _LEAST_LOG_SCALE)),
             _smallest_three(quaternions),
             _harmonics(cloud, degree, model.sh_degree),
         ]
@@ -288,25 +285,9 @@ def _fractional_bits(points: FloatArray, axis: float) -> int:
     if bits < 0 or (bits < _FRACTIONAL_BITS and 0.5**bits > axis):
         raise InputError(
             f"expected splats near the origin, got coordinates up to {largest:.6g}, which 24 bits round to"
-            f" {2.0**-bits:g}, more than half of the splats measure ({axis:.2g}): shift them, or write them as .ply"
+            f" {2.0**-bits:g}, more than half of the splats measure ({axis:.2g}): {shift_advice(points)}"
         )
     return bits
-
-
-def _columns(cloud: Cloud, names: Sequence[str]) -> FloatArray:
-    return np.stack([cloud.attributes[name].astype(np.float64) for name in names], axis=1)
-
-
-def _dc(cloud: Cloud) -> FloatArray:
-    """Return the coefficients of degree 0, or those of the colours; grey without both."""
-    if cloud.attributes.keys() >= set(DC):
-        return _columns(cloud, DC)
-    return np.zeros((len(cloud), 3)) if cloud.colors is None else dc_of(cloud.colors)
-
-
-def _to_bytes(values: FloatArray) -> NDArray[np.uint8]:
-    """Round to whole numbers from 0 to 255; halves go up, and NaN is 0."""
-    return np.floor(np.nan_to_num(values) + 0.5).clip(0, 255).astype(np.uint8)
 
 
 def _fixed(points: FloatArray, bits: int) -> NDArray[np.uint8]:
@@ -336,7 +317,7 @@ def _harmonics(cloud: Cloud, degree: int, stored_degree: int | None) -> NDArray[
     if not degree or stored_degree is None:
         return np.empty((len(cloud), 0), np.uint8)
     count, stored = degree * (degree + 2), stored_degree * (stored_degree + 2)
-    values = _columns(cloud, [f"f_rest_{k}" for k in range(3 * stored)]).reshape(-1, 3, stored)[:, :, :count]
+    values = stack_columns(cloud, [f"f_rest_{k}" for k in range(3 * stored)]).reshape(-1, 3, stored)[:, :, :count]
     signed = np.nan_to_num(values.transpose(0, 2, 1) * _SH_SIGNS[:count, None])
     steps = _SH_STEPS[:count, None]
     scaled = 128 * signed.clip(-2, 2)

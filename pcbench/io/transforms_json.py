@@ -24,8 +24,7 @@ from pcbench.scratch import atomic_write
 
 Size = tuple[int, int]
 
-_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
-_UNSUPPORTED = ("k3", "k4")
+_MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 # Keys that are ignored, and the value for which ignoring them changes nothing.
 _IGNORED_KEYS: dict[str, Any] = {
     **dict.fromkeys(("k5", "k6", "rolling_shutter_scanline_time", "rolling_shutter_time"), 0),
@@ -115,8 +114,13 @@ def _check_duplicates(path: Path, names: Sequence[Any], size_of: Callable[[str],
 
 def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | None:
     model = values.get("camera_model", "OPENCV")
-    if model not in _MODELS or any(float(values.get(k, 0)) for k in _UNSUPPORTED) or values.get("is_fisheye"):
-        raise InputError(f"expected lens distortion of k1, k2, p1, p2 only, got {model}: undistort the images first")
+    is_fisheye = model == "OPENCV_FISHEYE" or bool(values.get("is_fisheye"))
+    k1, k2, k3, k4, p1, p2 = (float(values.get(k, 0)) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if model not in _MODELS or (k4 and not is_fisheye) or (is_fisheye and (p1 or p2)):
+        raise InputError(
+            "expected lens distortion of k1, k2, k3, p1, p2, or of a fisheye lens k1, k2, k3, k4, got"
+            f" {model}: undistort the images first"
+        )
     size = (int(values["w"]), int(values["h"])) if "w" in values and "h" in values else image
     if size is None:
         return None
@@ -125,9 +129,11 @@ def _intrinsics(values: Mapping[str, Any], image: Size | None) -> Intrinsics | N
     if fx is None:
         raise KeyError("fl_x or camera_angle_x")
     fy = _focal(values, "y", height) or fx
-    k1, k2, p1, p2 = (float(values.get(k, 0)) for k in ("k1", "k2", "p1", "p2"))
     centre = float(values.get("cx", width / 2)), float(values.get("cy", height / 2))
-    return Intrinsics(width, height, fx, fy, *centre, (k1, k2, p1, p2))
+    if is_fisheye:
+        return Intrinsics(width, height, fx, fy, *centre, (k1, k2, k3, k4), fisheye=True)
+    distortion = (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0) if k3 else (k1, k2, p1, p2)
+    return Intrinsics(width, height, fx, fy, *centre, distortion)
 
 
 def _focal(values: Mapping[str, Any], axis: str, pixels: int) -> float | None:
@@ -163,6 +169,7 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
         images: folder of the images, relative to the folder of the file.
 
     Raises:
+        InputError: a lens has coefficients that the format does not have.
         OSError: the file cannot be written.
     """
     intrinsics = [_intrinsics_values(camera.intrinsics) for camera in cameras]
@@ -180,7 +187,13 @@ def write_transforms(path: Path, cameras: Sequence[Camera], images: str = "image
         file.write(json.dumps(document, indent=1).encode() + b"\n")
 
 
-def _intrinsics_values(intrinsics: Intrinsics) -> dict[str, float]:
-    values: dict[str, float] = {"w": intrinsics.width, "h": intrinsics.height}
+def _intrinsics_values(intrinsics: Intrinsics) -> dict[str, Any]:
+    values: dict[str, Any] = {"w": intrinsics.width, "h": intrinsics.height}
     values |= {"fl_x": intrinsics.fx, "fl_y": intrinsics.fy, "cx": intrinsics.cx, "cy": intrinsics.cy}
-    return values | dict(zip(("k1", "k2", "p1", "p2"), intrinsics.distortion, strict=True))
+    if intrinsics.fisheye:
+        names = ("k1", "k2", "k3", "k4")
+        return {"camera_model": "OPENCV_FISHEYE", **values, **dict(zip(names, intrinsics.distortion, strict=True))}
+    k1, k2, p1, p2, *higher = intrinsics.distortion
+    if any(higher[1:]):
+        raise InputError("transforms.json has no lens with k4, k5 and k6: write a COLMAP model, in a folder")
+    return {**values, "k1": k1, "k2": k2, "p1": p1, "p2": p2, **({"k3": higher[0]} if higher else {})}

@@ -120,24 +120,17 @@ def pinhole(camera: Camera, scale: float) -> Camera:
     k = camera.intrinsics.scaled(scale)
     if k.is_pinhole:
         return replace(camera, intrinsics=k)
-    left, right, upper, lower = _undistorted_bounds(k)
-    width, height = round(right - left), round(lower - upper)
-    max_width, max_height = round(_MAX_WIDENING * k.width), round(_MAX_WIDENING * k.height)
-    if width > max_width:
-        left, width = max(left, k.cx - max_width / 2), max_width
-    if height > max_height:
-        upper, height = max(upper, k.cy - max_height / 2), max_height
+    x, y = (k.border * [k.fx, k.fy] + [k.cx, k.cy]).T
+    left, width = _fit(float(x.min()), float(x.max()), k.cx, _MAX_WIDENING * k.width)
+    upper, height = _fit(float(y.min()), float(y.max()), k.cy, _MAX_WIDENING * k.height)
     return replace(camera, intrinsics=Intrinsics(width, height, k.fx, k.fy, k.cx - left, k.cy - upper))
 
 
-def _undistorted_bounds(k: Intrinsics) -> tuple[float, float, float, float]:
-    """Return the left, right, upper and lower bounds of an image's border after undistortion, in pixels."""
-    u, v = np.linspace(0, k.width, 65), np.linspace(0, k.height, 65)
-    ends = [np.column_stack([u, np.full(65, y)]) for y in (0.0, k.height)]
-    ends += [np.column_stack([np.full(65, x), v]) for x in (0.0, k.width)]
-    rays = k.directions(np.concatenate(ends))
-    x, y = k.fx * rays[:, 0] + k.cx, k.fy * rays[:, 1] + k.cy
-    return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+def _fit(lower: float, upper: float, center: float, longest: float) -> tuple[float, int]:
+    """Return where an interval of pixels begins and its whole length, about the center if it would be too long."""
+    if upper - lower > round(longest):
+        return max(lower, center - round(longest) / 2), round(longest)
+    return lower, round(upper - lower)
 
 
 class Undistorted(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
+from pcbench.io.colmap_model import colmap_camera
 from pcbench.registration import SurveyResiduals
 from pcbench.registration.control_points import states_z_is_up
 from pcbench.regular_files import read_text
@@ -269,7 +270,7 @@ def _ray(camera: Camera, x: float, y: float) -> FloatArray:
     import pycolmap
 
     k = camera.intrinsics
-    parameters = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-    colmap = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=parameters)
+    model, parameters = colmap_camera(k)
+    colmap = pycolmap.Camera(model=model, width=k.width, height=k.height, params=parameters)
     direction: FloatArray = camera.cam_from_world.rotation.T @ [*colmap.cam_from_img(np.array([x, y])), 1.0]
     return direction / np.linalg.norm(direction)

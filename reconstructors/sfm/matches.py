@@ -13,6 +13,7 @@ import numpy as np
 
 from pcbench.children import run_module
 from pcbench.errors import ReconstructionError
+from pcbench.io.colmap_model import colmap_camera
 from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
@@ -157,11 +158,12 @@ def _set_intrinsics(database_file: Path, groups: Sequence[LensGroup]) -> None:
     for number, name in sorted({image.camera_id: image.name for image in database.read_all_images()}.items()):
         if (k := intrinsics_by_name[name]) is not None:
             # Do not solve for more parameters than the given model has: square pixels stay square.
-            radial = k.fx == k.fy and not any(k.distortion[2:])
-            model, image_ids = "OPENCV", [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-            if radial:
-                model, image_ids = "RADIAL", [k.fx, k.cx, k.cy, *k.distortion[:2]]
-            camera = pycolmap.Camera(camera_id=number, model=model, width=k.width, height=k.height, params=image_ids)
+            model, parameters = "OPENCV", [k.fx, k.fy, k.cx, k.cy, *k.distortion]
+            if k.fisheye or len(k.distortion) > 4:
+                model, parameters = colmap_camera(k)
+            elif k.fx == k.fy and not any(k.distortion[2:]):
+                model, parameters = "RADIAL", [k.fx, k.cx, k.cy, *k.distortion[:2]]
+            camera = pycolmap.Camera(camera_id=number, model=model, width=k.width, height=k.height, params=parameters)
             camera.has_prior_focal_length = True
             database.update_camera(camera)
     database.close()

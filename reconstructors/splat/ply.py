@@ -51,7 +51,7 @@ def write_model(
         for part in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logits, gaussians.sh)
     )
     world = frame.to_world(means)
-    origin = _local_origin(world)
+    origin = local_origin(world)
     scales = log_scales.astype(np.float64) + np.log(frame.unit)
     rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), 3 * (sh.shape[1] - 1))
     columns = dict(zip(XYZ, (world - origin).T, strict=True))
@@ -104,7 +104,7 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
     if model.dimensions == 2:  # the normal of a disc is its third axis
         thin = scales.min(axis=1, keepdims=True) + np.float32(np.log(_DISC_FLATNESS))
         scales = np.concatenate([scales, thin], axis=1)
-    origin = _local_origin(cloud.points)
+    origin = local_origin(cloud.points)
     parts = [
         (cloud.points - origin).astype(np.float32),
         stack_columns("rot", 4),
@@ -125,7 +125,7 @@ def _numbered_names(name: str, count: int) -> list[str]:
     return [f"{name}_{k}" for k in range(count)]
 
 
-def _local_origin(points: FloatArray) -> FloatArray:
+def local_origin(points: FloatArray) -> FloatArray:
     """Return the origin (3,) for float32 coordinates of points (N, 3): zeros, or a rounded point among them."""
     lower, upper = robust_bounds(points)
     middle = (lower + upper) / 2

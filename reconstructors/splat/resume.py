@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _CHECKPOINT_INTERVAL_S = 30.0  # seconds between two checkpoints: the most work that a kill loses
 _PROGRESS_INTERVAL_S = 2.0  # seconds between two progress messages
+_FIRST_PREVIEW_S, _PREVIEW_INTERVAL_S = 2.0, 10.0  # seconds until the first preview, and at least between two
+_MAX_PREVIEW_SHARE = 0.03  # of the time that previews take
 
 
 Model_co = TypeVar("Model_co", covariant=True)
@@ -57,21 +59,25 @@ class Resumable(Protocol[Model_co]):
         ...
 
 
-def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: str) -> Model_co:
+def run_with_checkpoints(
+    training: Resumable[Model_co], checkpoint: Path, key: str, show: Callable[[Any, int], None] | None = None
+) -> Model_co:
     """Train to the end and return the model; resume from `checkpoint` if it exists, and remove it afterwards.
 
     Args:
         training: the training at its start.
         checkpoint: file of the checkpoints.
         key: everything that the model depends on; a checkpoint with another key, or a damaged one, is not used.
+        show: called with the training and the number of steps that this run has done, from time to time and at the end.
     """
     if not (_is_intact(checkpoint) and training.load(checkpoint, key)):
         _remove(checkpoint)
     total, start, steps_run = training.steps, time.monotonic(), 0
     last_checkpoint = last_message = start
+    next_preview = start + _FIRST_PREVIEW_S
 
     def on_step(training: Resumable[Model_co]) -> None:
-        nonlocal last_checkpoint, last_message, steps_run
+        nonlocal last_checkpoint, last_message, next_preview, steps_run
         now = time.monotonic()
         steps_run += 1  # not the difference of steps, which may go back
         if now - last_message > _PROGRESS_INTERVAL_S:
@@ -83,8 +89,15 @@ def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: s
         if now - last_checkpoint > _CHECKPOINT_INTERVAL_S:
             save_checkpoint(training, checkpoint, key)
             last_checkpoint = time.monotonic()
+        if show is not None and now > next_preview:
+            begin = time.monotonic()
+            show(training, steps_run)
+            end = time.monotonic()
+            next_preview = end + max(_PREVIEW_INTERVAL_S, (end - begin) / _MAX_PREVIEW_SHARE)
 
     training.run(total, on_step)
+    if show is not None:
+        show(training, steps_run)
     if training.converged:
         progress(f"training converged at step {training.step:,} of {total:,}: the photographs no longer improve")
     _remove(checkpoint)

@@ -25,6 +25,7 @@ from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import library_versions, stage, stage_key
 from pcbench.scenes import Scene
+from pcbench.scenes.previews import PREVIEW_FOLDER
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
 from reconstructors.mvs.cells import SPACE, SpaceCell
@@ -56,7 +57,8 @@ from reconstructors.splat.photographs import (
     select_usable,
     training_pinhole,
 )
-from reconstructors.splat.ply import write_model
+from reconstructors.splat.ply import local_origin, write_model
+from reconstructors.splat.preview import PreviewWriter
 from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import Supervision, read_supervision
@@ -259,6 +261,10 @@ class GaussianSplatting:
         notes.append(
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
+        model_file = model_folder / MODEL
+        origin = local_origin(whole.frame.to_world(model.means.cpu().numpy()))
+        shift = f" --shift {','.join(str(-round(x)) for x in origin)}" if origin.any() else ""
+        notes.append(f"model for viewers: {model_file}; for the web: pcbench convert {model_file} model.spz{shift}")
         background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
         notes += self._background_notes(folders, background)
         if (model_folder / GAINS).is_file():
@@ -491,7 +497,15 @@ class GaussianSplatting:
             background,
             Exposure(split.train, background.color.device) if self.exposure else None,
         )
-        model = run_with_checkpoints(training, workspace / "checkpoint.pt", key)
+        held_out = [pyramids[name][0] for name in split.test if pyramids[name][0].has_valid_pixels]
+        shown = PreviewWriter(
+            workspace / PREVIEW_FOLDER,
+            hashlib.sha256(key.encode()).hexdigest(),
+            frame,
+            [pyramid[0] for pyramid in training_photographs],
+            held_out,
+        )
+        model = run_with_checkpoints(training, workspace / "checkpoint.pt", key, shown)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
         (folder / FINAL_STEP).write_text(str(training.step), encoding="utf-8")

@@ -108,6 +108,7 @@ class Training:
         step: number of steps done.
         screen_gradients: gradients accumulated for densification; zero if the strategy does not need them.
         psnr: PSNR of each photograph when it was last used, in dB; reading an entry synchronises with the GPU.
+        losses: loss of each photograph when this run last used it, without that of the depths; likewise.
         converged: whether the photographs no longer improve.
     """
 
@@ -130,6 +131,7 @@ class Training:
         self.exposure = exposure
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
+        self.losses = self.psnr.copy()
         self.converged = False
         self._mean_psnr: list[float] = []  # dB, after each tenth of the steps
         self.screen_gradients = ScreenGradients.zeros(model)
@@ -144,8 +146,17 @@ class Training:
 
     def status(self) -> str:
         """Return mean PSNR and number of Gaussians for a progress message."""
-        psnr = [value for value in map(float, self.psnr) if not math.isnan(value)]
-        return f"PSNR {np.mean(psnr):.1f} dB, {len(self.model):,} Gaussians"
+        return f"PSNR {self.mean_psnr:.1f} dB, {len(self.model):,} Gaussians"
+
+    @property
+    def mean_psnr(self) -> float:
+        """Mean PSNR of the photographs that were used, in dB."""
+        return _mean_of_known(self.psnr)
+
+    @property
+    def mean_loss(self) -> float:
+        """Mean loss of the photographs that this run has used, without that of the depths."""
+        return _mean_of_known(self.losses)
 
     def run(self, until: int, on_step: Callable[[Training], None] | None = None) -> None:
         """Train up to a step or until convergence, calling `on_step` after each step.
@@ -231,6 +242,7 @@ class Training:
         """Train on these photographs from now on."""
         self.photographs = photographs
         self.psnr = [math.nan] * len(photographs)
+        self.losses = self.psnr.copy()
         self._mean_psnr = []
 
     def contributions(self) -> Tensor:
@@ -277,7 +289,8 @@ class Training:
         target = photograph.target(gain * background)
         weight = gain if photograph.valid is None else gain * photograph.valid[..., None]
         image = rendering.color * weight
-        gradient = self._kernels.image_loss(image, target, schedule.ssim_weight).gradient * weight
+        loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
+        gradient = loss.gradient * weight
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
         gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
@@ -286,6 +299,7 @@ class Training:
         if self.density.needs_screen_gradients:
             self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
         self.psnr[index] = _psnr(torch.nn.functional.mse_loss(image, target))
+        self.losses[index] = (1 - schedule.ssim_weight) * loss.l1 + schedule.ssim_weight * (1 - loss.ssim)
 
     def save(self, path: Path, key: str) -> None:
         """Write a checkpoint, which `load` continues only with the same `key`."""
@@ -356,6 +370,11 @@ def evaluate(
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores
+
+
+def _mean_of_known(values: Sequence[float | Tensor]) -> float:
+    numbers = [value for value in map(float, values) if not math.isnan(value)]
+    return float(np.mean(numbers)) if numbers else math.nan
 
 
 def _psnr(mean_square: Tensor) -> Tensor:

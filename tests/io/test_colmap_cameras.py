@@ -108,7 +108,7 @@ def test_damaged_cameras_are_refused(tmp_path):
         "1 PINHOLE 64\n",
         f"{CAMERAS}1 PINHOLE 64 48 60 60 32 24\n",
         f"# Number of cameras: 2\n{CAMERAS}",
-        "1 FULL_OPENCV 64 48 50 50 32 24 0.1 0 0 0 0.01 0 0 0\n",
+        "1 FOV 64 48 50 50 32 24 0.1\n",
     ):
         with check_error():
             read(model(tmp_path, images, cameras))

@@ -100,6 +100,62 @@ def test_rows_of_splat_are_decoded(tmp_path):
     assert stacked(cloud.attributes, "rot", 4).tolist() == [[1, 0, 0, 0]]
 
 
+def test_splat_is_written_as_another_program_does(tmp_path):
+    """ply2splat truncates what is rounded here, and keeps the order of the splats."""
+    columns = {name: values.astype(np.float32) for name, values in WRITTEN.SPLATS.items() if len(name) > 2}
+    notes = []
+    write_cloud(tmp_path / "a.splat", Cloud(WRITTEN.POINTS, attributes=columns), on_warning=notes.append)
+    check_text("\n".join(notes))
+    ours, theirs = (
+        np.frombuffer(path.read_bytes(), np.uint8).reshape(-1, 32)
+        for path in (tmp_path / "a.splat", FOREIGN / "ply2splat.splat")
+    )
+    importance = np.exp(stacked(columns, "scale", 3).sum(axis=1)) / (1 + np.exp(-columns["opacity"]))
+    theirs = theirs[np.argsort(-importance)]
+    np.testing.assert_allclose(ours[:, :24].copy().view("<f4"), theirs[:, :24].copy().view("<f4"), rtol=1e-6)
+    steps = ours[:, 24:].astype(int) - theirs[:, 24:]
+    assert steps.min() >= 0 and steps.max() <= 1
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_splat_keeps_splats(tmp_path, dimensions):
+    cloud = make_gaussians(dimensions=dimensions, degree=0)
+    turns = np.random.default_rng(0).normal(size=(5, 4))
+    turned = Cloud(cloud.points, attributes=cloud.attributes | {f"rot_{k}": turns[:, k] for k in range(4)})
+    write_cloud(tmp_path / "a.splat", turned, on_warning=lambda _: None)
+    result = read_cloud(tmp_path / "a.splat")
+    result = result.select(np.argsort(result.points[:, 0]))
+    np.testing.assert_array_equal(result.points, cloud.points)  # whole numbers
+    before, after = splat_model(cloud), splat_model(result)
+    np.testing.assert_allclose(after.opacities, before.opacities, atol=0.501 / 255)
+    np.testing.assert_allclose(after.axes[:, :dimensions], before.axes, rtol=1e-6)  # float32
+    cosines = (stacked(result.attributes, "rot", 4) * unit(turns)).sum(axis=1)
+    assert cosines.min() > 1 - 4 * (0.5 / 128) ** 2 / 2 - 1e-6  # half a step of each of four numbers
+
+
+def test_splat_far_from_the_origin(tmp_path):
+    splats = make_gaussians()
+    with check_error() as caught:
+        write_cloud(tmp_path / "a.splat", Cloud(splats.points + 5e6, attributes=splats.attributes))
+    assert "--shift -5000006,-5000007,-5000008`" in str(caught.value)
+    assert not (tmp_path / "a.splat").exists()
+
+
+def test_shifted_splats_stay_splats(tmp_path, run):
+    splats = make_gaussians()
+    far = Cloud(splats.points + 5e6, attributes=splats.attributes, crs="EPSG:32632", unit="m")
+    write_cloud(tmp_path / "a.ply", far)
+    shifted = ["--shift", "-5000000,-5000000,-5000001"]
+    code, _, err = run("convert", str(tmp_path / "a.ply"), str(tmp_path / "a.splat"), *shifted)
+    assert code == 0
+    check_text(err)
+    cloud = read_cloud(tmp_path / "a.splat")
+    np.testing.assert_array_equal(np.sort(cloud.points, axis=0), splats.points - [0, 0, 1])
+    assert len(splat_model(cloud).opacities) == 5
+    for wrong in ("1,2", "1,2,nan"):
+        assert run("convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--shift", wrong)[0] == 2
+
+
 @pytest.mark.parametrize("version", [1, 2, 3])
 def test_versions_of_spz(tmp_path, version):
     """Its axes are x right, y up, z back: y and z have the other sign in PLY, and so have odd harmonics in them."""
@@ -143,11 +199,12 @@ def test_spz_keeps_splats(tmp_path, degree, dimensions):
     np.testing.assert_allclose(stacked(result.attributes, "f_dc", 3), 0.5, atol=0.5 / 255 / 0.15)
 
 
-def test_what_spz_loses_is_said(tmp_path):
+def test_what_is_lost_is_said(tmp_path):
     splats = make_gaussians(degree=4)
     cloud = Cloud(splats.points, splats.points, None, {**splats.attributes, "label": np.arange(5)}, "EPSG:32632", "m")
     notes = []
-    write_cloud(tmp_path / "a.spz", cloud, on_warning=notes.append)
+    for name in ("a.spz", "a.splat"):
+        write_cloud(tmp_path / name, cloud, on_warning=notes.append)
     check_text("\n".join(notes))
     assert splat_model(read_cloud(tmp_path / "a.spz")).sh_degree == 3
 
@@ -162,19 +219,25 @@ def test_spz_far_from_the_origin(tmp_path):
     assert not (tmp_path / "b.spz").exists()
 
 
-def test_other_clouds_are_not_written_as_spz(tmp_path):
+@pytest.mark.parametrize("name", ["a.splat", "a.spz"])
+def test_other_clouds_are_not_written_as_splats(tmp_path, name):
     splats = make_gaussians()
     moved = {name: values for name, values in splats.attributes.items() if not name.startswith(("rot_", "scale_"))}
     for attributes in ({}, moved):
         with check_error():
-            write_cloud(tmp_path / "a.spz", Cloud(splats.points, attributes=attributes))
+            write_cloud(tmp_path / name, Cloud(splats.points, attributes=attributes))
 
 
-def test_values_that_are_not_finite(tmp_path):
+@pytest.mark.parametrize("name", ["a.splat", "a.spz"])
+def test_values_that_are_not_finite(tmp_path, name):
     splats = make_gaussians()
     damaged = {name: np.array([np.nan, np.inf, -np.inf, *values[3:]]) for name, values in splats.attributes.items()}
-    write_cloud(tmp_path / "a.spz", Cloud(splats.points, attributes=damaged), on_warning=lambda _: None)
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.spz").points, splats.points)
+    write_cloud(tmp_path / name, Cloud(splats.points, attributes=damaged), on_warning=lambda _: None)
+    points = read_cloud(tmp_path / name).points
+    np.testing.assert_array_equal(points[np.argsort(points[:, 0])], splats.points)
+
+
+def test_rows_of_splat_that_are_not_finite(tmp_path):
     rows = np.frombuffer(SPLAT_ROW * 3, "<f4").reshape(3, 8).copy()
     rows[0, 0], rows[1, 4] = np.nan, np.inf
     (tmp_path / "a.splat").write_bytes(rows.tobytes())

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,13 +66,44 @@ def test_colmap_agrees_with_pycolmap(photographs, tmp_path):
     check_cameras(read_colmap_cameras(tmp_path / "binary"), cameras)
 
 
-@pytest.mark.parametrize("model, params", [("SIMPLE_RADIAL", (50, 31, 25, 0.1)), ("RADIAL", (50, 31, 25, 0.1, 0.2))])
-def test_colmap_camera_models(tmp_path, model, params):
-    write_colmap_model(tmp_path, orbit(["a.png"]))
+LENSES = {
+    "SIMPLE_PINHOLE": (50, 31, 25),
+    "SIMPLE_RADIAL": (50, 31, 25, 0.1),
+    "RADIAL": (50, 31, 25, 0.1, 0.2),
+    "OPENCV": (50, 51, 31, 25, 0.1, 0.02, 0.003, -0.004),
+    "FULL_OPENCV": (50, 51, 31, 25, 0.1, 0.02, 0.003, -0.004, 0.01, 0.05, 0.02, -0.01),
+    "SIMPLE_FISHEYE": (40, 31, 25),
+    "FISHEYE": (40, 41, 31, 25),
+    "SIMPLE_RADIAL_FISHEYE": (40, 31, 25, 0.02),
+    "RADIAL_FISHEYE": (40, 31, 25, 0.02, -0.01),
+    "OPENCV_FISHEYE": (40, 41, 31, 25, 0.02, -0.01, 0.003, -0.0004),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_lenses_of_colmap(photographs, tmp_path, model):
+    """A pixel has the ray that pycolmap gives, and the ray the pixel; both formats keep the lens."""
+    pycolmap = import_or_skip("pycolmap")
+    params = LENSES[model]
+    write_colmap_model(tmp_path, orbit(["3.png"]))
     (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {' '.join(map(str, params))}\n")
-    intrinsics = read_colmap_cameras(tmp_path)[0].intrinsics
-    assert (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy) == (50, 50, 31, 25)
-    assert intrinsics.distortion == (*params[3:], *[0] * (7 - len(params)))
+    (camera,) = read_colmap_cameras(tmp_path)
+    pixels = np.random.default_rng(0).uniform((0, 0), (64, 48), (50, 2))
+    theirs = pycolmap.Camera(model=model, width=64, height=48, params=params)
+    rays = camera.intrinsics.directions(pixels)
+    np.testing.assert_allclose(camera.intrinsics.distort(rays[:, :2]), pixels, atol=1e-9)
+    for ray, pixel in zip(rays, pixels, strict=True):
+        np.testing.assert_allclose(theirs.img_from_cam(ray), pixel, atol=1e-9)
+    write_colmap_model(tmp_path / "again", [camera])
+    assert read_colmap_cameras(tmp_path / "again")[0].intrinsics == camera.intrinsics
+    if model == "FULL_OPENCV":
+        with check_error():
+            write_transforms(photographs / "transforms.json", [camera])
+        k = replace(camera.intrinsics, distortion=(*camera.intrinsics.distortion[:5], 0.0, 0.0, 0.0))
+        camera = replace(camera, intrinsics=k)
+    write_transforms(photographs / "transforms.json", [camera])
+    scene = read_scene(photographs, cameras=str(photographs / "transforms.json"), on_warning=lambda _: None)
+    assert scene.cameras["3.png"].intrinsics == camera.intrinsics
 
 
 def test_transforms_round_trip(photographs):
@@ -354,7 +386,7 @@ def test_damaged_binary_models_give_a_one_line_error(tmp_path):
             with pytest.raises(InputError, match=name):  # many cases, so only the file name is checked
                 read_colmap_cameras(tmp_path / "model")
         (tmp_path / "model" / name).write_bytes(data)
-    for number in (5, 6, 99):
+    for number in (10, 16, 99):
         (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ12d", 1, 1, number, 64, 48, *range(1, 13)))
         with check_error():
             read_colmap_cameras(tmp_path / "model")

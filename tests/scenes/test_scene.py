@@ -206,7 +206,7 @@ def test_invalid_scenes_are_refused(photographs, tmp_path):
     check_refusal()
     write_transforms([{"file_path": "3.png"}])
     check_refusal()
-    write_transforms([{"file_path": "3.png", "transform_matrix": identity}], k3=0.1)
+    write_transforms([{"file_path": "3.png", "transform_matrix": identity}], k4=0.1)
     check_refusal()
     (photographs / "transforms.json").write_text("{")
     with pytest.raises(InputError, match=r"transforms\.json: "):  # the rest of the message comes from Python's parser
@@ -221,7 +221,7 @@ def test_invalid_scenes_are_refused(photographs, tmp_path):
     (model / "images.txt").write_text("\n".join([*lines, ""]))
     check_refusal()
     (model / "images.txt").write_text(text)
-    (model / "cameras.txt").write_text("1 OPENCV_FISHEYE 64 48 50 50 32 24 0 0 0 0\n")
+    (model / "cameras.txt").write_text("1 THIN_PRISM_FISHEYE 64 48 50 50 32 24 0 0 0 0 0 0 0 0\n")
     check_refusal()
     shutil.rmtree(photographs / "sparse")
 

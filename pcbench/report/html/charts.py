@@ -38,8 +38,8 @@ class Series:
 
 
 @dataclass(frozen=True)
-class LogChart:
-    """A chart whose horizontal axis is logarithmic."""
+class CurveChart:
+    """A chart with curves."""
 
     title: str
     x_label: str
@@ -54,7 +54,7 @@ class LogChart:
     width, height = WIDTH, HEIGHT
 
 
-def charts(comparison: FinishedComparison) -> list[LogChart]:
+def charts(comparison: FinishedComparison) -> list[CurveChart]:
     """Return the charts of a comparison; none if all distances are zero."""
     shown = comparison.candidates[:_MAX_SERIES]
     forth = [c.deviation.even_values("distance") for c in shown]
@@ -93,7 +93,7 @@ class _LogAxis:
 
 def _histogram(
     names: Sequence[str], forth: Sequence[FloatArray], axis: _LogAxis, unit: str, marks: list[Tick], omitted: int
-) -> LogChart:
+) -> CurveChart:
     bins = np.geomspace(axis.low, axis.high, _BINS + 1)
     ends = math.log(axis.low), math.log(axis.high)
     shares = []
@@ -110,7 +110,7 @@ def _histogram(
         series.append(Series(name, color, f"M{xs[0]:.1f} {_y(0):.1f}{steps}V{_y(0):.1f}"))
     label = f"distance to the nearest reference point{unit}"
     ticks = _even_ticks(top)
-    return LogChart(
+    return CurveChart(
         "Distances to the reference", label, "% of points per bin", series, axis.ticks(), ticks, marks, omitted
     )
 
@@ -123,7 +123,7 @@ def _fscores(
     unit: str,
     marks: list[Tick],
     omitted: int,
-) -> LogChart:
+) -> CurveChart:
     thresholds = np.geomspace(axis.low, axis.high, _THRESHOLDS)
     series = []
     for name, color, there, here in zip(names, SERIES, forth, back, strict=False):
@@ -133,7 +133,7 @@ def _fscores(
         points = [f"{axis.position(float(t)):.1f} {_y(float(s)):.1f}" for t, s in zip(thresholds, scores, strict=True)]
         series.append(Series(name, color, f"M{'L'.join(points)}"))
     ticks = [Tick(_y(k / 4), f"{k / 4:g}") for k in range(5)]
-    return LogChart("F-score against its threshold", f"threshold{unit}", "0 to 1", series, axis.ticks(), ticks, marks,
+    return CurveChart("F-score against its threshold", f"threshold{unit}", "0 to 1", series, axis.ticks(), ticks, marks,
                  omitted)  # fmt: skip
 
 

@@ -75,7 +75,9 @@ class Origin:
     inputs: Sequence[InputRow] = ()
 
 
-def render(template: str, opening: Opening, origin: Origin, *, script: str = "", **content: Any) -> str:
+def render(
+    template: str, opening: Opening, origin: Origin, *, script: str = "", refresh_s: int | None = None, **content: Any
+) -> str:
     """Return a page.
 
     Args:
@@ -83,6 +85,7 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
         opening: the top of the page.
         origin: the bottom of the page.
         script: JavaScript that the page runs; without one, its policy forbids scripts.
+        refresh_s: seconds after which a browser loads the page again; None: it does not.
         content: values for the template's own parts.
     """
     return _environment(require("jinja2")).get_template(template).render(
@@ -97,6 +100,7 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
         inputs=origin.inputs,
         style=source("style.css"),
         script=script,
+        refresh_s=refresh_s,
         script_hash=base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode(),
         **content,
     )  # fmt: skip

@@ -13,6 +13,7 @@ from pcbench.scenes import read_scene
 from reconstructors.mvs.views import ViewCache, luminance, pinhole, read_view, undistort, view_stage
 
 LENS = Intrinsics(480, 360, 430.0, 430.0, 245.0, 178.0, (-0.15, 0.03, 0.001, -0.001))
+FISHEYE = Intrinsics(480, 360, 400.0, 400.0, 245.0, 178.0, (0.02, -0.01, 0.003, -0.001), fisheye=True)
 
 
 def distorted_photograph(camera):
@@ -29,15 +30,17 @@ def distorted_photograph(camera):
     )
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
+@pytest.fixture(scope="module", params=[LENS, FISHEYE], ids=["brown", "fisheye"])
+def scene(request, tmp_path_factory):
     """A scene with a distorted, masked image and a pinhole image, both in a subfolder."""
     folder = tmp_path_factory.mktemp("scene")
     (folder / "images/left").mkdir(parents=True)
     (folder / "masks/left").mkdir(parents=True)
     distorted, ideal = (
         Camera(f"left/{name}.png", k, camera.cam_from_world)
-        for name, k, camera in zip("ab", (LENS, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True)
+        for name, k, camera in zip(
+            "ab", (request.param, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True
+        )
     )
     Image.fromarray(distorted_photograph(distorted)).save(folder / "images" / distorted.name)
     Image.fromarray(corner.photograph(ideal)).save(folder / "images" / ideal.name)
@@ -53,7 +56,7 @@ def test_lens_distortion_is_removed(scene, scale):
     camera = scene.cameras["left/a.png"]
     target = pinhole(camera, scale)
     assert target.intrinsics.is_pinhole
-    assert target.intrinsics.fx == pytest.approx(scale * 430)
+    assert target.intrinsics.fx == pytest.approx(scale * camera.intrinsics.fx)
     image, valid, _ = undistort(scene, camera, target.intrinsics)
     assert image.shape == (target.intrinsics.height, target.intrinsics.width, 3)
     # The pinhole's image contains the entire photograph: this lens has barrel distortion.
@@ -141,3 +144,22 @@ def test_transparent_pixels_are_masked_and_their_alpha_is_stored(tmp_path, intri
 def test_luminance():
     rgb = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]], np.uint8)
     np.testing.assert_array_equal(luminance(rgb), [[76, 150, 29, 255]])
+
+
+def test_a_fisheye_of_more_than_half_of_all_directions_is_cropped(tmp_path):
+    """Its image reaches rays beyond 90 degrees from the axis, which no pinhole has."""
+    k = Intrinsics(200, 200, 60.0, 60.0, 100.0, 100.0, (0.0, 0.0, 0.0, 0.0), fisheye=True)
+    camera = Camera("a.png", k, Similarity.identity())
+    target = pinhole(camera, 1.0).intrinsics
+    assert (target.width, target.height, target.cx, target.cy) == (250, 250, 125, 125)
+    (tmp_path / "images").mkdir()
+    u, v = np.meshgrid(np.arange(200) + 0.5, np.arange(200) + 0.5)
+    angle_deg = np.degrees(np.hypot(u - 100, v - 100) / 60)
+    Image.fromarray(np.repeat(angle_deg[..., None], 3, axis=2).round().astype(np.uint8)).save(tmp_path / "images/a.png")
+    write_colmap_model(tmp_path / "sparse", [camera])
+    scene = read_scene(tmp_path)
+    image, valid, _ = undistort(scene, scene.cameras["a.png"], target)
+    rays = rays_of(Camera("", target, Similarity.identity()))
+    expected = np.degrees(np.arctan(np.hypot(rays[:, 0], rays[:, 1]))).reshape(250, 250)
+    assert valid is None
+    np.testing.assert_allclose(image[..., 0], expected, atol=1.2)  # rounded before and after cubic interpolation

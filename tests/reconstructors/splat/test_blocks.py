@@ -171,11 +171,11 @@ def test_a_killed_run_resumes_with_the_next_block(train, tmp_path, monkeypatch):
     expected = train("other").cloud.points
     run, trained = plugin.run_with_checkpoints, []
 
-    def interrupt_second(training, checkpoint, key):
+    def interrupt_second(training, checkpoint, key, show):
         trained.append(key)
         if len(trained) == 2:
             raise InterruptedError
-        return run(training, checkpoint, key)
+        return run(training, checkpoint, key, show)
 
     monkeypatch.setattr(plugin, "run_with_checkpoints", interrupt_second)
     with pytest.raises(InterruptedError):

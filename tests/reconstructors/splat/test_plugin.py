@@ -9,6 +9,7 @@ from optional import import_or_skip
 from PIL import Image
 from wording import check_error, check_text
 
+from pcbench.io import read_cloud
 from pcbench.scenes import read_scene
 from pcbench.scenes.views import read_views
 
@@ -60,7 +61,7 @@ def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
 def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
     keys = []
 
-    def interrupt(training, checkpoint, key):
+    def interrupt(training, checkpoint, key, show):
         keys.append(key)
         raise InterruptedError
 
@@ -85,6 +86,20 @@ def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     monkeypatch.setattr(corner.RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
     with check_error():
         train(hold_out="every")
+
+
+def test_a_note_tells_how_to_write_the_model_for_the_web(train, tmp_path, monkeypatch, run):
+    (note,) = [note for note in train().notes if "pcbench convert" in note]
+    monkeypatch.chdir(tmp_path)
+    command = note.partition("for the web: pcbench ")[2].split()
+    assert run(*command)[0] == 0
+    assert len(read_cloud("model.spz")) == len(read_cloud(command[1]))
+
+
+def test_the_note_moves_a_model_in_survey_coordinates_to_the_origin(train, monkeypatch):
+    monkeypatch.setattr(plugin, "local_origin", lambda _: np.array([448000.0, 5419000.0, 0.0]))
+    (note,) = [note for note in train().notes if "pcbench convert" in note]
+    assert note.endswith("model.spz --shift -448000,-5419000,0")
 
 
 def test_the_note_gives_the_last_step(train, monkeypatch):
@@ -147,7 +162,7 @@ def test_the_learned_background_is_a_note_and_stays_with_the_model(train, tmp_pa
     texts = []
     for _ in range(2):
         reconstruction = train(background="learned", hold_out="every", density="fixed", steps=100)
-        texts.append(next(note for note in reconstruction.notes if "learned" in note))
+        texts.append(next(note for note in reconstruction.notes if "Gaussians, learned" in note))
     assert check_text(texts[0]) == texts[1]
     color = np.loadtxt(tmp_path / "work/model/background.txt")
     assert texts[0].endswith("({}, {}, {})".format(*np.rint(255 * color).astype(int)))
