@@ -310,6 +310,11 @@ def _is_metric(value: Any) -> bool:
 _METRICS = CodeKind(ENTRY_POINT_GROUP, "metric", "FUNCTION", inspect.isfunction)
 
 
+def installed_metrics() -> tuple[str, ...]:
+    """Return the names of the installed user-defined metrics, sorted."""
+    return _METRICS.installed_names()
+
+
 def _way(points: FloatArray, matches: Matches, others: FloatArray, normals: FloatArray | None) -> MeasuredWay:
     return MeasuredWay(
         _frozen(points),

@@ -194,14 +194,15 @@ _RECONSTRUCTORS = CodeKind(ENTRY_POINT_GROUP, "reconstructor", "CLASS", _is_reco
 
 
 def _check_plugin(spec: str, origin: str, cls: Any) -> Plugin:
+    method: Any = getattr(cls, "reconstruct", None)
     if not (inspect.isclass(cls) and is_dataclass(cls) and _is_reconstructor(cls)):
         raise InputError(
             f"{spec}: expected a dataclass with a method reconstruct(self, scene, workspace), got {_describe(cls)}"
         )
     try:
-        inspect.signature(cls.reconstruct).bind("self", "scene", "workspace")
+        inspect.signature(method).bind("self", "scene", "workspace")
     except TypeError:
-        form = f"reconstruct{inspect.signature(cls.reconstruct)}"
+        form = f"reconstruct{inspect.signature(method)}"
         raise InputError(f"{spec}: expected a method reconstruct(self, scene, workspace), got {form}") from None
     try:
         get_type_hints(cls)
