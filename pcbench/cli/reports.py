@@ -13,7 +13,7 @@ from pcbench.cli.conditions import fail_if_any, fail_if_option
 from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
-from pcbench.cli.messages import notice_unless, steps, warn, warn_of_missing, warn_unless
+from pcbench.cli.messages import EarlyOutput, notice_unless, steps, warn, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -152,7 +152,7 @@ def compare_and_print(
 ) -> Comparison:
     """Compare files, write the outputs, print the answer, a table or the JSON document, and test conditions."""
     from pcbench.comparison.run import Outputs, run
-    from pcbench.report import document, print_comparison
+    from pcbench.report import document, print_outputs, print_result
     from pcbench.report.conditions import check_names
     from pcbench.report.document import OMITTED_KEYS, candidate_values
     from pcbench.report.exports import TABLES
@@ -166,8 +166,16 @@ def compare_and_print(
         untested = "the comparison does not test for deformation (--no-deformation)"
         absent = {} if request.settings.deformation else {"deformation": untested}
         check_names(fail_if, rehearse(request.settings), OMITTED_KEYS, absent)
+    prints = table is None and not output.on_stdout and not quiet
     with steps(quiet) as step:
-        outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet))
+        early = EarlyOutput(step)
+
+        def show(comparison: Comparison) -> None:
+            """Print the answer before pictures are drawn, which takes as long as the comparison of small clouds."""
+            if prints:
+                early.print(lambda: print_result(comparison, full=full))
+
+        outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet), on_comparison=show)
     for text in warnings(outcome.comparison):
         LOGGER.warning("%s", text)
     if json_file is not None:
@@ -176,8 +184,9 @@ def compare_and_print(
         click.echo(TABLES[table](outcome.comparison), nl=False)
         for text in warnings(outcome.comparison):
             warn(text)
-    elif not output.on_stdout and not quiet:
-        print_comparison(outcome.comparison, full=full, folder=out)
+    early.check()
+    if prints:
+        print_outputs(outcome.comparison, full=full, folder=out)
     warn_of_missing(outcome)
     if fail_if:
         fail_if_any(fail_if, candidate_values(document(outcome.comparison)), OMITTED_KEYS)
