@@ -2,36 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import Any, TypeVar
 
 from pcbench.errors import InputError
 
 # Help texts of settings that several commands have.
 REGISTER_HELP = (
-    "Registration method: icp (point to plane), icp-point (point to point), similarity (icp with scale), global or"
-    " global-similarity (icp or similarity from any initial pose), points:FILE (control points), matrix:FILE (a known"
-    " pose), tnt:TRAJECTORY,SCENE (camera centres, then ICP, as in Tanks and Temples) or none. ICP removes a motion of"
-    " the whole cloud, and the answer states it; use none to measure the given coordinates."
+    "How to align: icp (to planes), icp-point, similarity (with scale), global or global-similarity (from any pose),"
+    " points:FILE (control points), matrix:FILE (a known pose), tnt:TRAJECTORY,SCENE, or none: measure the given"
+    " coordinates."
 )
 SHAPES_HELP = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE"
 CROP_HELP = (
     f"Region to measure: none, {SHAPES_HELP}, reference (its bounding box) or quantile:0.99 (the sphere around its"
     " centroid with this share of its points)."
 )
-CLASSES_HELP = "Use only these classes of LAS files, such as 2,6."
-RETURNS_HELP = "Use only these returns of LAS files: first, last or numbers such as 1,2."
-MIN_OPACITY_HELP = "Use only Gaussian splats with at least this opacity."
-MAX_AXIS_HELP = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."
+REGIONS = "none", "box:", "sphere:", "polygon:FILE", "reference", "quantile:"  # for completion
+CLASSES_HELP = "Use only these LAS classes, such as 2,6."
+RETURNS_HELP = "Use only these LAS returns: first, last or numbers such as 1,2."
+MIN_OPACITY_HELP = "Use only Gaussian splats of at least this opacity."
+MAX_AXIS_HELP = "Use only Gaussian splats whose largest standard deviation is at most this length."
 METRIC_HELP = (
-    "Also compute this user-defined metric: FILE.py:FUNCTION, MODULE:FUNCTION or the name of an installed one"
-    " (repeatable). Its code runs with your rights."
+    "Also compute your own metric: FILE.py:FUNCTION, MODULE:FUNCTION or an installed name (repeatable). Its code runs"
+    " with your rights."
 )
-VERTICES_HELP = "Measure a candidate mesh at its vertices rather than at points sampled on its faces."
+VERTICES_HELP = "Measure a candidate mesh at its vertices, not at points sampled on its faces."
+
+Values = Sequence[str] | Callable[[], Iterable[str]]
+"""Values that completion offers: names, or a function that returns them."""
 
 _Number = TypeVar("_Number", int, float)
 _Settings = TypeVar("_Settings")
+
+
+class OptionGroup(StrEnum):
+    """Groups of options in the help of a command, in their order."""
+
+    INPUT = "Input"
+    COORDINATES = "Coordinates"
+    CITY = "City"
+    PHOTOGRAPHS = "Photographs"
+    REGISTRATION = "Registration"
+    METRICS = "Metrics"
+    OUTPUT = "Output"
+    LARGE_DATA = "Large data and long runs"
 
 
 @dataclass(frozen=True)
@@ -64,6 +81,8 @@ class Option:
         is_repeatable: whether it may be given several times, with one or several comma-separated names.
         shows_default: whether the help shows the default.
         default: default value of the field.
+        group: its group in the help; None: it is listed before all groups, because it matters most.
+        values: values that completion offers, such as `icp`, or `points:FILE` for a name with a value.
     """
 
     flag: str
@@ -74,6 +93,8 @@ class Option:
     is_repeatable: bool = False
     shows_default: bool = False
     default: Any = None
+    group: OptionGroup | None = None
+    values: Values | None = None
 
     @property
     def is_flag(self) -> bool:

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -31,13 +32,22 @@ def test_notebook_runs(path, request):
     if path.stem == "gao":
         import_or_skip("torch")
     notebook = nbformat.read(path, as_version=4)
+    stored_pages = _pages(notebook)
     nbclient.NotebookClient(notebook, timeout=900).execute(cwd=str(path.parent))
+    assert _pages(notebook) == stored_pages, "run `make notebooks`"
     figure_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert figure_cells
     view_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plotter.show" in cell.source]
     assert view_cells
     for cell in figure_cells + view_cells:
         check_figure(cell)
+
+
+def _pages(notebook):
+    """Return the HTML that cells display, without its numbers."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    pages = [output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})]
+    return [re.sub(r"[-\d.,]+", "#", page) for page in pages]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -107,7 +107,7 @@ def test_quiet_runs_print_nothing(capsys, monkeypatch):
     assert capsys.readouterr() == ("", "")
 
 
-def test_terminal_shows_a_bar_with_the_time_left(monkeypatch):
+def test_terminal_shows_a_bar_with_the_time_left(monkeypatch, capsys):
     class Terminal(io.StringIO):
         def isatty(self):
             return True
@@ -119,5 +119,8 @@ def test_terminal_shows_a_bar_with_the_time_left(monkeypatch):
         step(Step("registering [a]", 30.0, 60.0))
         terminal = sys.stderr
         time.sleep(0.3)
+        with step.paused():
+            print("the answer")
     assert "registering [a]" in terminal.getvalue()
+    assert capsys.readouterr().out == "the answer\n"  # the bar does not redirect what is printed
     assert "90 s left" in terminal.getvalue()

@@ -26,6 +26,7 @@ from pcbench.cli import (
     tradeoff,
     view,
 )
+from pcbench.cli.help import CommandLine, option
 from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
@@ -34,33 +35,39 @@ from pcbench.errors import PcbenchError, lacks_files, reason_of
 from pcbench.threads import limit_threads
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=CommandLine, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="pcbench")
-@click.option("--log", type=FILE, metavar="FILE", help="Log steps, settings, versions, warnings and errors to FILE.")
+@option("--log", type=FILE, metavar="FILE", help="Log steps, settings, versions, warnings and errors to FILE.")
 def app(log: Path | None) -> None:
-    """How far is this point cloud from that one, where, why, and which numbers can be trusted?"""
+    """How far is this point cloud from that one, where, why, and which numbers can be trusted?
+
+    \b
+    pcbench demo                                       try it on a small city
+    pcbench compare ref.ply a.ply b.ply --out report/  measure two clouds
+    pcbench change 2019.laz 2023.laz --out change/     measure what moved
+    """
     if log is not None:
         start_log(log)
 
 
-for _command in (
-    *(
-        reports.compare,
-        change.change,
-        reports.deform,
-        reports.plot,
-        view.view,
-        checkpoints.checkpoints,
-        quality.quality,
+_SECTIONS: dict[str, tuple[click.Command, ...]] = {
+    "Measure clouds": (
+        *(reports.compare, change.change, checkpoints.checkpoints, quality.quality, reports.deform),
+        *(evaluate.evaluate, tradeoff.tradeoff),
     ),
-    *(clouds.info, clouds.crop, clouds.register, convert.convert),
-    *(scenes.scene, scenes.synth),
-    *(reconstruction.plugins, reconstruction.reconstruct),
-    *(evaluate.evaluate, studies.demo, studies.bench, studies.views, stress.stress, tradeoff.tradeoff),
-    experiments.experiment,
-):
-    log_settings(_command)
-    app.add_command(_command)
+    "Look at clouds, and change them": (
+        *(clouds.info, view.view, reports.plot, clouds.crop, clouds.register, convert.convert),
+    ),
+    "Reconstruct photographs": (
+        *(scenes.scene, reconstruction.reconstruct, reconstruction.plugins, studies.bench, studies.views),
+    ),
+    "Test with exact truth": (studies.demo, scenes.synth, stress.stress, experiments.experiment),
+}
+
+for _title, _commands in _SECTIONS.items():
+    for _command in _commands:
+        log_settings(_command)
+    app.add_section(_title, *_commands)
 
 _BROKEN_PIPE = 1  # exit code of click after a broken pipe; pcbench never uses it
 

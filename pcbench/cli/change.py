@@ -10,50 +10,55 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcbench.cli.conditions import check_names_of, fail_if_any, fail_if_option
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
 from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import FILE, background_option, format_option, no_figures_option, quiet_option
 from pcbench.cli.settings_command import SettingsCommand
 from pcbench.errors import InputError
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.report.conditions import Condition
 
 
-@click.command(
+@command(
     short_help="Measure how much material moved between epochs.",
     cls=SettingsCommand,
     settings=("pcbench.measure.dem.settings:ChangeSettings",),
     after="out",
 )
 @click.argument("epochs", type=FILE, nargs=-1, metavar="BEFORE AFTER...")
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier report in it is replaced.")
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier report in it is replaced.")
+@option(
     "--dates",
     metavar="D,D,...",
     help="Date of each epoch, such as 2023-05-17.  [default: from the names of the files, such as site_2023.laz]",
 )
-@click.option(
+@option(
     "--profile",
     "profiles",
     multiple=True,
     metavar="X0,Y0,X1,Y1",
     help="Line along which the heights of all epochs are drawn; may be repeated.",
+    group=OptionGroup.METRICS,
 )
-@click.option(
+@option(
     "--point",
     "points",
     multiple=True,
     metavar="X,Y",
     help="Place whose change is listed for each epoch; may be repeated.",
+    group=OptionGroup.METRICS,
 )
-@click.option(
+@option(
     "--memory",
     default="4GiB",
     show_default=True,
     metavar="SIZE",
     help="Memory that may be used, such as 4GiB or 500MB: cells become larger if they do not fit.",
+    group=OptionGroup.LARGE_DATA,
 )
 @json_option("change.json")
 @fail_if_option("a change in change.json", "whole.volumes.net[0] > 50")

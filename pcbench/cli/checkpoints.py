@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcbench.cli.conditions import check_names_of, fail_if_any, fail_if_option
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, background_option, no_figures_option, quiet_option
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _OMITTED_KEYS = ("accuracy",)  # that names in conditions may omit
 
 
-@click.command(
+@command(
     short_help="Test the accuracy of a cloud by check points.",
     cls=SettingsCommand,
     settings=("pcbench.measure.checkpoints.settings:CheckPointSettings",),
@@ -27,7 +28,7 @@ _OMITTED_KEYS = ("accuracy",)  # that names in conditions may omit
 )
 @click.argument("cloud", type=FILE)
 @click.argument("points", type=FILE)
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the page, the table, the map and the charts.")
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for the page, the table, the map and the charts.")
 @json_option("checkpoints.json")
 @fail_if_option("checkpoints.json", "every.errors.rmse > 0.1")
 @no_figures_option()

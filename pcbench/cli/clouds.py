@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import report_error, steps, warn, warn_unless
 from pcbench.cli.options import (
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from pcbench.registration import Registration
 
 
-@click.command(short_help="Crop a cloud to a region.")
+@command(short_help="Crop a cloud to a region.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @required_crop_option
@@ -63,11 +64,11 @@ def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
 
-@click.command(short_help="Align a cloud with a reference.")
+@command(short_help="Align a cloud with a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, metavar="FILE", help="File for the aligned candidate.")
-@click.option("--matrix", type=FILE, metavar="FILE", help="File for the 4x4 matrix from candidate to reference.")
+@option("--out", type=FILE, metavar="FILE", help="File for the aligned candidate.")
+@option("--matrix", type=FILE, metavar="FILE", help="File for the 4x4 matrix from candidate to reference.")
 @register_option()
 @vertices_option
 @json_option("the pose and its precision")
@@ -176,7 +177,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
     yield "matrix candidate -> reference:"
 
 
-@click.command(short_help="Describe a cloud.")
+@command(short_help="Describe a cloud.")
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
     """Print points, extent, spacing, normals, colours and attributes of CLOUDS.

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from pcbench.cli.help import option
 from pcbench.cli.log import LOGGER
 from pcbench.cli.streams import finish_output
 from pcbench.errors import InputError, one_line
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.report.conditions import Condition, NamedValues
@@ -28,14 +30,14 @@ def fail_if_option(what: str, example: str) -> Callable[[_Command], _Command]:
         what: the document whose names the conditions have.
         example: a condition, for the help text.
     """
-    return click.option(
+    return option(
         "--fail-if",
         "fail_if",
         multiple=True,
         metavar="CONDITION",
         callback=_parse,
-        help=f"End with exit code {CONDITION_HOLDS} if this holds for the numbers of {what}, such as '{example}';"
-        " may be repeated.",
+        help=f"End with exit code {CONDITION_HOLDS} if this holds for {what}, such as '{example}' (repeatable).",
+        group=OptionGroup.OUTPUT,
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pcbench.cli.help import command, option
 from pcbench.cli.messages import steps, warn_unless
 from pcbench.cli.options import (
     FILE,
@@ -17,54 +18,72 @@ from pcbench.cli.options import (
     quiet_option,
     splat_options,
 )
-from pcbench.options import parse_integers, parse_lengths, parse_returns
+from pcbench.options import OptionGroup, parse_integers, parse_lengths, parse_returns
 
 
-@click.command(short_help="Write a cloud in another format.")
+@command(short_help="Write a cloud in another format.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @las_options
 @splat_options
 @color_depth_option
-@click.option(
+@option(
     "--crs",
     metavar="CRS",
     help="State the coordinate system that CLOUD is in, such as EPSG:32617+5703. Coordinates stay as they are.",
 )
-@click.option(
+@option(
     "--to-crs",
     metavar="CRS",
     help="Transform to this coordinate system; heights too if it has some, such as EPSG:32617+5703.",
 )
 @accuracy_option("--to-crs")
-@click.option(
+@option(
     "--unit",
     metavar="UNIT",
     help="State the unit that x, y and z of CLOUD are in, such as ft. Coordinates stay as they are.",
 )
-@click.option("--z-unit", metavar="UNIT", help="State the unit that z of CLOUD is in, if x and y have another one.")
-@click.option("--to-unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
-@click.option(
+@option(
+    "--z-unit",
+    metavar="UNIT",
+    help="State the unit that z of CLOUD is in, if x and y have another one.",
+    group=OptionGroup.COORDINATES,
+)
+@option("--to-unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
+@option(
     "--scale",
     type=POSITIVE,
     metavar="FACTOR",
     help="Multiply x, y and z by FACTOR, about the origin. Their unit is unknown unless --unit or --crs states it.",
+    group=OptionGroup.COORDINATES,
 )
-@click.option(
+@option(
     "--shift",
     metavar="X,Y,Z",
     help="Add X, Y and Z to the coordinates, last, for programs that compute in few digits. The system is left out.",
+    group=OptionGroup.COORDINATES,
 )
-@click.option("--drop-nodata", is_flag=True, help="Remove points that stand for missing data, such as z = -9999.")
-@click.option("--drop-zero", is_flag=True, help="Remove points whose x, y and z are all exactly zero.")
-@click.option(
-    "--drop-duplicates", is_flag=True, help="Remove points with exactly the coordinates of an earlier point of CLOUD."
+@option(
+    "--drop-nodata",
+    is_flag=True,
+    help="Remove points that stand for missing data, such as z = -9999.",
+    group=OptionGroup.INPUT,
 )
-@click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
-@click.option(
+@option(
+    "--drop-zero", is_flag=True, help="Remove points whose x, y and z are all exactly zero.", group=OptionGroup.INPUT
+)
+@option(
+    "--drop-duplicates",
+    is_flag=True,
+    help="Remove points with exactly the coordinates of an earlier point of CLOUD.",
+    group=OptionGroup.INPUT,
+)
+@option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
+@option(
     "--mirror",
     type=click.Choice(("x", "y", "z", "xy", "xz", "yz")),
     help="Undo a mirrored export: negate one axis (x, y, z), or exchange two (xy, xz, yz).",
+    group=OptionGroup.COORDINATES,
 )
 @quiet_option
 def convert(

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.completion import metric_names, protocol_names
 from pcbench.cli.conditions import fail_if_any, fail_if_option
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option
 from pcbench.cli.workers import workers_options
-from pcbench.options import CROP_HELP, METRIC_HELP, REGISTER_HELP, split_names
+from pcbench.options import CROP_HELP, METRIC_HELP, REGIONS, REGISTER_HELP, OptionGroup, split_names
 
 if TYPE_CHECKING:
     from pcbench.report.article import TableCell
@@ -25,17 +27,17 @@ INCOMPLETE = 4
 """Exit code if a pair has no scores, or a user-defined metric failed."""
 
 
-@click.command(short_help="Evaluate methods on scenes by a benchmark's protocol, in one table.")
+@command(short_help="Evaluate methods on scenes by a benchmark's protocol, in one table.")
 @click.argument("reference", required=False)
 @click.argument("candidates", nargs=-1)
-@click.option(
+@option(
     "--pairs",
     type=FILE,
     metavar="FILE.csv",
     help="Pairs instead of patterns: columns reference, candidate, and optionally scene, method, pose (a text file with"
     " a 4x4 matrix), crop and seconds (time of the method). Paths are relative to the folder of the file.",
 )
-@click.option(
+@option(
     "--protocol",
     default="pcbench",
     show_default=True,
@@ -43,31 +45,46 @@ INCOMPLETE = 4
     help="Protocol, with settings that differ from the official ones: the benchmarks dtu, eth3d, tnt and mesh (rooms);"
     " the definitions of gao2025, mpeg, open3d, pdal, pytorch3d, kaolin and point-cloud-utils; or pcbench (its own"
     " metrics).",
+    values=protocol_names,
 )
-@click.option("--protocol-data", type=FILE, metavar="FOLDER", help="Folder with files of the benchmark, such as masks.")
-@click.option(
-    "--out", type=FILE, metavar="FOLDER", help="Folder for tables, page and results; a later run resumes from it."
+@option(
+    "--protocol-data",
+    type=FILE,
+    metavar="FOLDER",
+    help="Folder with files of the benchmark, such as masks.",
+    group=OptionGroup.INPUT,
 )
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for tables, page and results; a later run resumes from it.")
+@option(
     "--columns",
     multiple=True,
     metavar="NAME,NAME,...",
     help="Scores in the tables and in the answer, in this order.  [default: all]",
 )
-@click.option("--metric", "metrics", multiple=True, metavar="WHICH", help=METRIC_HELP)
-@register_option("none", f"{REGISTER_HELP} {{scene}} and {{method}} are replaced.")
-@click.option(
+@option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="WHICH",
+    help=METRIC_HELP,
+    group=OptionGroup.METRICS,
+    values=metric_names,
+)
+@register_option("none", f"{REGISTER_HELP} {{scene}} and {{method}} are replaced.", OptionGroup.REGISTRATION)
+@option(
     "--crop",
     default="none",
     show_default=True,
     metavar="REGION",
     help=f"{CROP_HELP} {{scene}} and {{method}} are replaced.",
+    group=OptionGroup.METRICS,
+    values=REGIONS,
 )
 @workers_options("as many pairs as CPUs")
 @json_option("evaluate.json")
 @fail_if_option("a pair", "chamfer > 0.2")
 @no_figures_option("chart")
-@seed_option("Random seed of samples, orders and the bootstrap.")
+@seed_option("Random seed of samples, orders and the bootstrap.", OptionGroup.METRICS)
 @quiet_option
 def evaluate(
     reference: str | None,

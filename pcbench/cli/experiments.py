@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from pcbench.cli.help import GroupOfCommands, option
 from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import (
     FILE,
@@ -22,19 +23,18 @@ from pcbench.cli.options import (
 )
 from pcbench.cli.workers import chosen_workers, workers_options
 from pcbench.errors import ReconstructionError
+from pcbench.options import REGIONS, OptionGroup
 
 
-@click.group(short_help="Experiments on scenes with exact truth.")
+@click.group(cls=GroupOfCommands, short_help="Experiments on scenes with exact truth.")
 def experiment() -> None:
     """Run an experiment on scenes with exact truth."""
 
 
 @experiment.command(short_help="Find which reconstruction setting deforms a cloud.")
 @click.argument("scene", type=FILE, required=False)
-@click.option(
-    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
-)
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it.")
+@option(
     "--images",
     default=42,
     show_default=True,
@@ -87,30 +87,44 @@ def bend(
 
 @experiment.command(short_help="Reproduce Gao et al. 2025: sparse, dense, splat and radiance field clouds.")
 @click.argument("scenes", nargs=-1, type=FILE, metavar="[SCENE]...")
-@click.option(
-    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
+@option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it.")
+@option(
+    "--cities",
+    default=3,
+    show_default=True,
+    type=click.IntRange(1, 99),
+    help="Number of cities.",
+    group=OptionGroup.CITY,
 )
-@click.option("--cities", default=3, show_default=True, type=click.IntRange(1, 99), help="Number of cities.")
-@click.option(
-    "--images", default=48, show_default=True, type=click.IntRange(9, 9999), help="Number of images of each city."
-)
+@option("--images", default=48, show_default=True, type=click.IntRange(9, 9999), help="Number of images of each city.")
 @size_option("320x180")
-@click.option("--extent", default=120.0, show_default=True, type=POSITIVE, help="Side of each city in metres.")
-@click.option(
+@option(
+    "--extent",
+    default=120.0,
+    show_default=True,
+    type=POSITIVE,
+    help="Side of each city in metres.",
+    group=OptionGroup.CITY,
+)
+@option(
     "--poses",
     default="solve",
     show_default=True,
     type=click.Choice(["solve", "given"]),
     help="Cameras of all clouds: solved once, as in the paper, or given by the scene.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of splat; may be repeated.")
-@click.option(
+@option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of splat; may be repeated.")
+@option(
     "--crop",
     metavar="REGION",
     help="Region to measure, as in `compare`.  [default: a sphere around the point at which the cameras look]",
+    group=OptionGroup.METRICS,
+    values=REGIONS,
 )
 @image_scale_option
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each cloud.")
+@option(
+    "--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each cloud.", group=OptionGroup.LARGE_DATA
+)
 @workers_options("one scene after another, each with all CPUs")
 @no_figures_option()
 @seed_option()

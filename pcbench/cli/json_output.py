@@ -9,14 +9,23 @@ from typing import Any, TypeVar
 
 import click
 
+from pcbench.cli.help import option
 from pcbench.errors import InputError
+from pcbench.options import OptionGroup
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 def json_option(what: str) -> Callable[[_Command], _Command]:
     """Return the option `--json FILE`; `what` names the document in the help text."""
-    return click.option("--json", "json_file", metavar="FILE", help=f"Write {what} to FILE; - for standard output.")
+    return option(
+        "--json",
+        "json_file",
+        type=click.Path(),
+        metavar="FILE",
+        help=f"Write {what} to FILE; - for standard output.",
+        group=OptionGroup.OUTPUT,
+    )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Lock, Thread
 from time import monotonic
@@ -85,29 +86,64 @@ def fail(message: str) -> NoReturn:
     sys.exit(2)
 
 
+@dataclass(frozen=True)
+class StepDisplay:
+    """A display of the current step.
+
+    Attributes:
+        show: shows a step.
+        paused: context in which other output may be printed.
+    """
+
+    show: Callable[[str], None]
+    paused: Callable[[], AbstractContextManager[None]] = nullcontext
+
+    def __call__(self, text: str) -> None:
+        """Show a step, and log it."""
+        LOGGER.info("step: %s", text)
+        self.show(text)
+
+
+class EarlyOutput:
+    """Results that are printed during a run; a failure to print them does not end the run."""
+
+    def __init__(self, display: StepDisplay) -> None:
+        self._display = display
+        self._error: OSError | None = None
+
+    def print(self, write: Callable[[], None]) -> None:
+        """Print results by a function, between steps."""
+        try:
+            with self._display.paused():
+                write()
+                sys.stdout.flush()
+        except OSError as error:
+            self._error = error
+
+    def check(self) -> None:
+        """Raise the error of an earlier print, such as BrokenPipeError, if there was one."""
+        if self._error is not None:
+            raise self._error
+
+
 @contextmanager
-def steps(quiet: bool) -> Iterator[Callable[[str], None]]:
+def steps(quiet: bool) -> Iterator[StepDisplay]:
     """Show the current step, the elapsed time and, if `pcbench.progress` can estimate it, the remaining time.
 
     On a terminal one line is updated; elsewhere a line is printed on stderr every nine seconds.
     """
     display = _silent() if quiet else _on_terminal() if sys.stderr.isatty() else _in_lines()
-    with display as show:
-
-        def step(text: str) -> None:
-            LOGGER.info("step: %s", text)
-            show(text)
-
-        yield step
+    with display as shown:
+        yield shown
 
 
 @contextmanager
-def _silent() -> Iterator[Callable[[str], None]]:
-    yield lambda _: None
+def _silent() -> Iterator[StepDisplay]:
+    yield StepDisplay(lambda _: None)
 
 
 @contextmanager
-def _in_lines() -> Iterator[Callable[[str], None]]:
+def _in_lines() -> Iterator[StepDisplay]:
     """Print a line on stderr at intervals; a short command prints none."""
     estimate, lock, ended = TimeEstimate(monotonic()), Lock(), Event()
     start, current = monotonic(), "starting"
@@ -131,14 +167,14 @@ def _in_lines() -> Iterator[Callable[[str], None]]:
     thread = Thread(target=print_lines, daemon=True)
     thread.start()
     try:
-        yield step
+        yield StepDisplay(step)
     finally:
         ended.set()
         thread.join()
 
 
 @contextmanager
-def _on_terminal() -> Iterator[Callable[[str], None]]:
+def _on_terminal() -> Iterator[StepDisplay]:
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
@@ -165,7 +201,15 @@ def _on_terminal() -> Iterator[Callable[[str], None]]:
             estimate.begin(text, monotonic())
             progress.update(task, description=escape(text))
 
-        yield step
+        @contextmanager
+        def paused() -> Iterator[None]:
+            progress.stop()  # otherwise rich would write what is printed to the standard error
+            try:
+                yield
+            finally:
+                progress.start()
+
+        yield StepDisplay(step, paused)
 
 
 def _clock(seconds: float) -> str:

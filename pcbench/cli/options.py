@@ -9,16 +9,21 @@ from typing import Any, TypeVar
 
 import click
 
+from pcbench.cli.completion import method_names
+from pcbench.cli.help import option
 from pcbench.errors import InputError
 from pcbench.options import (
     CLASSES_HELP,
     CROP_HELP,
     MAX_AXIS_HELP,
     MIN_OPACITY_HELP,
+    REGIONS,
     REGISTER_HELP,
     RETURNS_HELP,
     SHAPES_HELP,
     VERTICES_HELP,
+    OptionGroup,
+    Values,
     parse_numbers,
 )
 
@@ -46,56 +51,70 @@ _CLOUD_CROP_HELP = (
 )
 
 
-def register_option(default: str = "icp", help: str = REGISTER_HELP) -> Callable[[_Command], _Command]:
+def register_option(
+    default: str = "icp", help: str = REGISTER_HELP, group: OptionGroup | None = None, values: Values = method_names
+) -> Callable[[_Command], _Command]:
     """Return the option for the registration method."""
-    return click.option("--register", default=default, show_default=True, metavar="HOW", help=help)
+    return option(
+        "--register", default=default, show_default=True, metavar="HOW", help=help, group=group, values=values
+    )
 
 
-crop_option = click.option("--crop", default="none", show_default=True, metavar="REGION", help=CROP_HELP)
-required_crop_option = click.option("--crop", required=True, metavar="REGION", help=_CLOUD_CROP_HELP)
+crop_option = option("--crop", default="none", show_default=True, metavar="REGION", help=CROP_HELP, values=REGIONS)
+required_crop_option = option("--crop", required=True, metavar="REGION", help=_CLOUD_CROP_HELP, values=REGIONS)
 
 
-def seed_option(help: str = "Random seed.") -> Callable[[_Command], _Command]:
+def seed_option(help: str = "Random seed.", group: OptionGroup | None = None) -> Callable[[_Command], _Command]:
     """Return the option for the random seed."""
-    return click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help=help)
+    return option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help=help, group=group)
 
 
 def las_options(command: _Command) -> _Command:
     """Add the options that filter LAS files."""
-    command = click.option("--returns", metavar="WHICH", help=RETURNS_HELP)(command)
-    return click.option("--classes", metavar="N,N,...", help=CLASSES_HELP)(command)
+    command = option("--returns", metavar="WHICH", help=RETURNS_HELP, group=OptionGroup.INPUT)(command)
+    return option("--classes", metavar="N,N,...", help=CLASSES_HELP, group=OptionGroup.INPUT)(command)
 
 
-color_depth_option = click.option(
+color_depth_option = option(
     "--color-depth",
     type=click.Choice(["8", "16"]),
     callback=lambda context, option, value: None if value is None else int(value),
     help="Bits of the colours in LAS files.  [default: 16 if a value exceeds 255, else 8]",
+    group=OptionGroup.OUTPUT,
 )
 
 
 def splat_options(command: _Command) -> _Command:
     """Add the options that filter Gaussian splats."""
-    command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=MAX_AXIS_HELP)(command)
+    command = option("--max-axis", type=POSITIVE, metavar="LENGTH", help=MAX_AXIS_HELP, group=OptionGroup.INPUT)(
+        command
+    )
     opacity = FiniteRange(min=0, max=1)
-    return click.option("--min-opacity", type=opacity, metavar="OPACITY", help=MIN_OPACITY_HELP)(command)
+    return option("--min-opacity", type=opacity, metavar="OPACITY", help=MIN_OPACITY_HELP, group=OptionGroup.INPUT)(
+        command
+    )
 
 
 def cameras_option(
     help: str = "Cameras: auto (found in the folder of the scene), none, or a file or folder.",
+    group: OptionGroup = OptionGroup.INPUT,
 ) -> Callable[[_Command], _Command]:
     """Return the option for the cameras of a scene."""
-    return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
+    return option(
+        "--cameras", default="auto", show_default=True, metavar="WHICH", help=help, group=group, values=("auto", "none")
+    )
 
 
 def scene_options(command: _Command) -> _Command:
     """Add the options for a scene whose cameras select the views of pictures."""
-    scene = "Scene with cameras in the coordinates of the cloud; they show which way is up and select the views."
-    cameras = "Cameras of --scene: auto (found in its folder), or a file or folder."
-    return click.option("--scene", type=FILE, metavar="FOLDER", help=scene)(cameras_option(cameras)(command))
+    scene = "Photographs whose cameras select the views, in the coordinates of the cloud."
+    cameras = "Cameras of --scene: auto, or a file or folder."
+    return option("--scene", type=FILE, metavar="FOLDER", help=scene, group=OptionGroup.OUTPUT)(
+        cameras_option(cameras, OptionGroup.OUTPUT)(command)
+    )
 
 
-vertices_option = click.option("--vertices", is_flag=True, help=VERTICES_HELP)
+vertices_option = option("--vertices", is_flag=True, help=VERTICES_HELP, group=OptionGroup.INPUT)
 
 
 def scene_folder(context: click.Context, scene: Path | None, cameras: str) -> Any:
@@ -113,21 +132,27 @@ def scene_folder(context: click.Context, scene: Path | None, cameras: str) -> An
     return SceneFolder(scene, cameras)
 
 
-masks_option = click.option(
-    "--masks", type=FILE, metavar="FOLDER", help="Folder of masks; black pixels are excluded.  [default: masks/]"
+masks_option = option(
+    "--masks",
+    type=FILE,
+    metavar="FOLDER",
+    help="Folder of masks; black pixels are excluded.  [default: masks/]",
+    group=OptionGroup.INPUT,
 )
-image_scale_option = click.option(
+image_scale_option = option(
     "--image-scale",
     default=1.0,
     show_default=True,
     type=float,
     help="Scale of the images, at most 1: 0.5 halves width and height.",
+    group=OptionGroup.INPUT,
 )
-write_cameras_option = click.option(
+write_cameras_option = option(
     "--write-cameras",
     type=FILE,
     metavar="OUT",
     help="Write the cameras to a file OUT.json (transforms.json), or to a folder OUT as a COLMAP model.",
+    group=OptionGroup.OUTPUT,
 )
 
 
@@ -138,48 +163,58 @@ def accuracy_option(target: str) -> Callable[[_Command], _Command]:
         target: the option that names the new system.
     """
     help = f"With {target}: accept a transformation this accurate if the grid of the best one is not installed."
-    return click.option("--accuracy", type=POSITIVE, metavar="METRES", help=help)
+    return option("--accuracy", type=POSITIVE, metavar="METRES", help=help, group=OptionGroup.COORDINATES)
 
 
 def wgs84_option(what: str) -> Callable[[_Command], _Command]:
     """Return the option that converts metres of Earth Studio's sphere to metres of WGS84."""
     help = f"Convert {what} from metres of Earth Studio's sphere to metres of WGS84."
-    return click.option("--wgs84", is_flag=True, help=help)
+    return option("--wgs84", is_flag=True, help=help, group=OptionGroup.COORDINATES)
 
 
 def size_option(default: str) -> Callable[[_Command], _Command]:
     """Return the option for the size of rendered images."""
-    return click.option("--size", default=default, show_default=True, metavar="WxH", help="Image size in pixels.")
+    return option("--size", default=default, show_default=True, metavar="WxH", help="Image size in pixels.")
 
 
 def no_figures_option(what: str = "pictures") -> Callable[[_Command], _Command]:
     """Return the option that omits the pictures."""
-    return click.option("--no-figures", is_flag=True, help=f"Draw no {what}.")
+    return option("--no-figures", is_flag=True, help=f"Draw no {what}.", group=OptionGroup.OUTPUT)
 
 
-format_option = click.option(
-    "--format", "figure_format", metavar="KIND", help="Format of the pictures: png, svg or pdf.  [default: png]"
+format_option = option(
+    "--format",
+    "figure_format",
+    metavar="KIND",
+    help="Format of pictures: png, svg or pdf.  [default: png]",
+    values=("png", "svg", "pdf"),
+    group=OptionGroup.OUTPUT,
 )
-background_option = click.option(
+background_option = option(
     "--background",
     metavar="COLOUR",
-    help="Background of the pictures: dark, white, black or #rrggbb.  [default: dark for clouds, white for charts]",
+    help="Background of pictures: dark, white, black or #rrggbb.  [default: dark; white for charts]",
+    values=("dark", "white", "black"),
+    group=OptionGroup.OUTPUT,
 )
 
 
 def figure_options(command: _Command) -> _Command:
     """Add the options for the appearance of pictures, the fields of `pcbench.report.Figures`."""
-    command = click.option(
+    command = option(
         "--range",
         "color_range",
         type=POSITIVE,
         metavar="LENGTH",
-        help="Upper end of the colour range of distances, in the clouds' unit.",
+        help="Largest distance of the colour range.",
+        group=OptionGroup.OUTPUT,
     )(format_option(command))
     return background_option(command)
 
 
-quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print only errors, including failed pictures.")
+quiet_option = option(
+    "--quiet", "-q", is_flag=True, help="Print only errors, including failed pictures.", group=OptionGroup.OUTPUT
+)
 
 
 def is_given(context: click.Context, name: str) -> bool:

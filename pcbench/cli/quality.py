@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcbench.cli.conditions import fail_if_any, fail_if_option
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn, warn_of_missing
 from pcbench.cli.options import FILE, background_option, no_figures_option, quiet_option
 from pcbench.cli.settings_command import SettingsCommand
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.report.conditions import Condition
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 _OMITTED_KEYS = ("numbers",)  # that names in conditions may omit
 
 
-@click.command(
+@command(
     short_help="Measure the quality of one cloud without a reference.",
     cls=SettingsCommand,
     settings=("pcbench.measure.quality.settings:QualitySettings",),
@@ -27,13 +29,14 @@ _OMITTED_KEYS = ("numbers",)  # that names in conditions may omit
 )
 @click.argument("cloud", type=FILE)
 @click.argument("other", type=FILE, required=False)
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the page, the tables and the maps.")
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for the page, the tables and the maps.")
+@option(
     "--memory",
     default="4GiB",
     show_default=True,
     metavar="SIZE",
     help="Memory that may be used, such as 4GiB or 500MB: larger clouds are refused.",
+    group=OptionGroup.LARGE_DATA,
 )
 @json_option("quality.json")
 @fail_if_option("quality.json", "noise > 0.02")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.completion import reconstructor_names
+from pcbench.cli.help import argument, command, option
 from pcbench.cli.messages import notice_unless, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
@@ -23,15 +25,16 @@ from pcbench.cli.options import (
 )
 from pcbench.cli.training import TrainingPage
 from pcbench.errors import InputError
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.geometry.cloud import Cloud
     from pcbench.io.check_points import CheckPoints
 
 
-@click.command(short_help="List the reconstructors, or describe some.")
-@click.argument("specs", nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
-@click.option(
+@command(short_help="List the reconstructors, or describe some.")
+@argument("specs", values=reconstructor_names, nargs=-1, metavar="[NAME | MODULE:CLASS | FILE.py:CLASS]...")
+@option(
     "--time-limit",
     type=POSITIVE,
     default=60.0,
@@ -68,37 +71,50 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
             click.echo(f"  --set {setting}={kind}  ({'must be given' if default is None else f'default {default}'})")
 
 
-@click.command(short_help="Make a cloud from photographs with a reconstructor.")
-@click.argument("name", metavar="NAME")
+@command(short_help="Make a cloud from photographs with a reconstructor.")
+@argument("name", metavar="NAME", values=reconstructor_names)
 @click.argument("scene", type=FILE)
-@click.option("-o", "--out", type=FILE, metavar="FILE", required=True, help="File for the cloud.")
-@click.option(
-    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of the reconstructor; may be repeated."
+@option("-o", "--out", type=FILE, metavar="FILE", required=True, help="File for the cloud.")
+@option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Setting of the reconstructor; may be repeated.",
 )
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option(
+@option(
     "--workspace",
     type=FILE,
     metavar="FOLDER",
     help="Folder for intermediate files, from which the next run resumes.  [default: OUT.work]",
+    group=OptionGroup.LARGE_DATA,
 )
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time after which the reconstructor is stopped.")
-@click.option(
+@option(
+    "--time-limit",
+    type=POSITIVE,
+    metavar="SECONDS",
+    help="Time after which the reconstructor is stopped.",
+    group=OptionGroup.LARGE_DATA,
+)
+@option(
     "--crs",
     metavar="CRS",
     help="Write cloud and cameras in this projected coordinate system, such as EPSG:32617, by GPS in EXIF or by cameras"
     " with a known origin.",
+    group=OptionGroup.COORDINATES,
 )
 @accuracy_option("--crs")
 @wgs84_option("cloud and cameras")
 @write_cameras_option
-@click.option(
+@option(
     "--checkpoints",
     type=FILE,
     metavar="FILE",
     help="Also test the cloud by the check points in this file, as `pcbench checkpoints` does.",
+    group=OptionGroup.METRICS,
 )
 @quiet_option
 def reconstruct(

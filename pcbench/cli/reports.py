@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcbench.cli.conditions import fail_if_any, fail_if_option
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
-from pcbench.cli.messages import notice_unless, steps, warn, warn_of_missing, warn_unless
+from pcbench.cli.messages import EarlyOutput, notice_unless, steps, warn, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -30,6 +31,7 @@ from pcbench.cli.options import (
 )
 from pcbench.cli.settings_command import SettingsCommand, limit_openblas
 from pcbench.errors import InputError
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.comparison.request import Request
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from pcbench.report.viewing import SceneFolder
 
 
-@click.command(
+@command(
     short_help="Measure candidate clouds against a reference.",
     cls=SettingsCommand,
     settings=("pcbench.measure.settings:Settings", "pcbench.measure.tiled.settings:TilingSettings"),
@@ -47,34 +49,34 @@ if TYPE_CHECKING:
 )
 @click.argument("reference", type=FILE, required=False)
 @click.argument("candidates", type=FILE, nargs=-1)
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier report in it is replaced.")
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier one is replaced.")
+@option(
     "--workspace",
     type=FILE,
     metavar="FOLDER",
-    help="Folder for sorted copies and finished tiles, from which the same command continues after a failure."
-    "  [default: a hidden folder beside --out]",
+    help="Folder for tiles, from which the same command resumes.  [default: hidden, beside --out]",
+    group=OptionGroup.LARGE_DATA,
 )
-@click.option(
+@option(
     "--settings",
     "settings_file",
     type=FILE,
     metavar="FILE",
-    help="Repeat the comparison that a report's settings.json describes.",
+    help="Repeat the comparison of a report's settings.json.",
+    group=OptionGroup.INPUT,
 )
 @json_option("comparison.json")
 @fail_if_option("a candidate in comparison.json", "d2_rms.c2r > 0.2")
-@click.option(
+@option(
     "--table",
     type=click.Choice(["latex", "markdown", "csv"]),
-    help="Print a table instead of the answer: the main metrics as latex, all metrics as csv, or table.md as markdown;"
-    " warnings go to the standard error.",
+    metavar="KIND",
+    help="Print a table instead of the answer: latex (main metrics), markdown or csv (all metrics).",
+    group=OptionGroup.OUTPUT,
 )
 @scene_options
 @no_figures_option()
-@click.option(
-    "--full", is_flag=True, help="Print all metrics, the verdict on each cloud, and the differences between candidates."
-)
+@option("--full", is_flag=True, help="Print all metrics, verdicts and differences.")
 @figure_options
 @quiet_option
 @click.pass_context
@@ -150,7 +152,7 @@ def compare_and_print(
 ) -> Comparison:
     """Compare files, write the outputs, print the answer, a table or the JSON document, and test conditions."""
     from pcbench.comparison.run import Outputs, run
-    from pcbench.report import document, print_comparison
+    from pcbench.report import document, print_outputs, print_result
     from pcbench.report.conditions import check_names
     from pcbench.report.document import OMITTED_KEYS, candidate_values
     from pcbench.report.exports import TABLES
@@ -164,8 +166,16 @@ def compare_and_print(
         untested = "the comparison does not test for deformation (--no-deformation)"
         absent = {} if request.settings.deformation else {"deformation": untested}
         check_names(fail_if, rehearse(request.settings), OMITTED_KEYS, absent)
+    prints = table is None and not output.on_stdout and not quiet
     with steps(quiet) as step:
-        outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet))
+        early = EarlyOutput(step)
+
+        def show(comparison: Comparison) -> None:
+            """Print the answer before pictures are drawn, which takes as long as the comparison of small clouds."""
+            if prints:
+                early.print(lambda: print_result(comparison, full=full))
+
+        outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet), on_comparison=show)
     for text in warnings(outcome.comparison):
         LOGGER.warning("%s", text)
     if json_file is not None:
@@ -174,23 +184,24 @@ def compare_and_print(
         click.echo(TABLES[table](outcome.comparison), nl=False)
         for text in warnings(outcome.comparison):
             warn(text)
-    elif not output.on_stdout and not quiet:
-        print_comparison(outcome.comparison, full=full, folder=out)
+    early.check()
+    if prints:
+        print_outputs(outcome.comparison, full=full, folder=out)
     warn_of_missing(outcome)
     if fail_if:
         fail_if_any(fail_if, candidate_values(document(outcome.comparison)), OMITTED_KEYS)
     return outcome.comparison
 
 
-@click.command(short_help="Test whether a cloud is deformed relative to a reference.")
+@command(short_help="Test whether a cloud is deformed relative to a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for deformation.json, the displacements and pictures.")
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for deformation.json, the displacements and pictures.")
 @register_option()
 @crop_option
 @vertices_option
 @no_figures_option()
-@seed_option("Random seed for the samples on meshes and the folds of cross-validation.")
+@seed_option("Random seed for the samples on meshes and the folds of cross-validation.", OptionGroup.METRICS)
 @json_option("deformation.json")
 @background_option
 @format_option
@@ -243,16 +254,16 @@ def deform(
         warn(outcome.without_figures)
 
 
-@click.command(short_help="Draw the pictures of a report again, or a picture of a cloud.")
+@command(short_help="Draw the pictures of a report again, or a picture of a cloud.")
 @click.argument("path", type=FILE)
 @click.argument("names", nargs=-1)
-@click.option(
+@option(
     "--out",
     type=FILE,
     metavar="FILE",
     help="Picture of a cloud: .png, .svg or .pdf.  [default: PATH's name with .png, in the working directory]",
 )
-@click.option("--scalar", metavar="NAME", help="Attribute that colours a cloud.")
+@option("--scalar", metavar="NAME", help="Attribute that colours a cloud.")
 @scene_options
 @figure_options
 @quiet_option

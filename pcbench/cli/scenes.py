@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pcbench.cli.help import GroupOfCommands, command, option
 from pcbench.cli.messages import steps, warn_unless
 from pcbench.cli.options import (
     FILE,
@@ -22,15 +23,21 @@ from pcbench.cli.options import (
     write_cameras_option,
 )
 from pcbench.errors import InputError
-from pcbench.options import parse_numbers
+from pcbench.options import OptionGroup, parse_numbers
 
 
-@click.command(short_help="Describe a scene: images, cameras, GPS, masks.")
+@command(short_help="Describe a scene: images, cameras, GPS, masks.")
 @click.argument("scene", type=FILE)
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option("--figure", type=FILE, metavar="FILE", help="File for a PNG picture of the cameras, or of GPS positions.")
+@option(
+    "--figure",
+    type=FILE,
+    metavar="FILE",
+    help="File for a PNG picture of the cameras, or of GPS positions.",
+    group=OptionGroup.OUTPUT,
+)
 @wgs84_option("the cameras")
 @write_cameras_option
 @quiet_option
@@ -79,44 +86,74 @@ def scene(
             click.echo(line)
 
 
-@click.group(short_help="Scenes and deformations with exact truth.")
+@click.group(cls=GroupOfCommands, short_help="Scenes and deformations with exact truth.")
 def synth() -> None:
     """Render images of a city with exact truth, or deform a cloud by a known amount."""
 
 
 @synth.command(short_help="Build a city, render photographs of it, and write the exact truth.")
-@click.option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the scene, new or empty.")
-@click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="Number of images.")
+@option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the scene, new or empty.")
+@option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="Number of images.")
 @size_option("960x540")
-@click.option(
-    "--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical field of view in degrees."
+@option(
+    "--fov",
+    default=40.0,
+    show_default=True,
+    type=click.FloatRange(1, 120),
+    help="Vertical field of view in degrees.",
+    group=OptionGroup.PHOTOGRAPHS,
 )
-@click.option(
+@option(
     "--rig",
     default="circles",
     show_default=True,
     help="Flight: circles (seven, as in Gao et al.), grid (vertical), oblique, drone or orbit (one circle).",
+    values=("circles", "grid", "oblique", "drone", "orbit"),
 )
-@click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Lens distortion.")
-@click.option(
+@option(
+    "--distortion",
+    default="0,0,0,0",
+    show_default=True,
+    metavar="K1,K2,P1,P2",
+    help="Lens distortion.",
+    group=OptionGroup.PHOTOGRAPHS,
+)
+@option(
     "--gps",
     type=FiniteRange(min=0),
     help="Write gps.txt with errors of this standard deviation in metres, twice that in height.",
+    group=OptionGroup.PHOTOGRAPHS,
 )
-@click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
-@click.option("--density", default=0.85, show_default=True, help="Share of the lots with a building.")
-@click.option("--height", default=9.0, show_default=True, help="Median height of the houses in metres.")
-@click.option("--relief", default=2.0, show_default=True, help="RMS height of the terrain in metres.")
-@click.option(
-    "--texture", default=1.0, show_default=True, help="Texture from 1 (rich) to 0 (blank walls and plain ground)."
+@option("--extent", default=400.0, show_default=True, help="Side of the city in metres.", group=OptionGroup.CITY)
+@option("--density", default=0.85, show_default=True, help="Share of the lots with a building.", group=OptionGroup.CITY)
+@option(
+    "--height", default=9.0, show_default=True, help="Median height of the houses in metres.", group=OptionGroup.CITY
 )
-@click.option("--water", is_flag=True, help="Turn some blocks into lakes.")
-@click.option("--repeated", is_flag=True, help="Give all buildings the same facade and roof.")
-@click.option("--symmetric", is_flag=True, help="Make the city the same after a half turn about its centre.")
-@click.option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.")
-@click.option("--reflections", is_flag=True, help="Render reflections in glass and water.")
-@click.option("--vignetting", is_flag=True, help="Darken images towards the corners (natural vignetting, cos^4 law).")
-@click.option(
+@option("--relief", default=2.0, show_default=True, help="RMS height of the terrain in metres.", group=OptionGroup.CITY)
+@option(
+    "--texture",
+    default=1.0,
+    show_default=True,
+    help="Texture from 1 (rich) to 0 (blank walls and plain ground).",
+    group=OptionGroup.CITY,
+)
+@option("--water", is_flag=True, help="Turn some blocks into lakes.", group=OptionGroup.CITY)
+@option("--repeated", is_flag=True, help="Give all buildings the same facade and roof.", group=OptionGroup.CITY)
+@option(
+    "--symmetric",
+    is_flag=True,
+    help="Make the city the same after a half turn about its centre.",
+    group=OptionGroup.CITY,
+)
+@option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.", group=OptionGroup.CITY)
+@option("--reflections", is_flag=True, help="Render reflections in glass and water.", group=OptionGroup.PHOTOGRAPHS)
+@option(
+    "--vignetting",
+    is_flag=True,
+    help="Darken images towards the corners (natural vignetting, cos^4 law).",
+    group=OptionGroup.PHOTOGRAPHS,
+)
+@option(
     "--points",
     default=1_000_000,
     show_default=True,
@@ -177,31 +214,35 @@ def city(
 @synth.command(short_help="Deform a cloud by a known amount.")
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
-@click.option("--kind", required=True, help="Kind of deformation: dome, bowl, shear, twist, subsidence or drift.")
-@click.option(
-    "--rms", required=True, type=float, help="RMS displacement that no affine map explains, in the cloud's unit."
+@option(
+    "--kind",
+    required=True,
+    help="Kind of deformation: dome, bowl, shear, twist, subsidence or drift.",
+    values=("dome", "bowl", "shear", "twist", "subsidence", "drift"),
 )
-@click.option(
+@option("--rms", required=True, type=float, help="RMS displacement that no affine map explains, in the cloud's unit.")
+@option(
     "--rotate",
     default="0,0,0",
     show_default=True,
     metavar="X,Y,Z",
     help="Rotation about each axis in degrees, after the deformation.",
 )
-@click.option(
+@option(
     "--shift",
     default="0,0,0",
     show_default=True,
     metavar="X,Y,Z",
     help="Translation in the cloud's unit, after the rotation.",
 )
-@click.option("--scale", default=1.0, show_default=True, help="Scale, after the deformation.")
-@click.option(
+@option("--scale", default=1.0, show_default=True, help="Scale, after the deformation.")
+@option(
     "--about",
     default="centre",
     show_default=True,
     metavar="PLACE",
     help="Centre of rotation and scale: centre (of the cloud's bounding box), origin, or X,Y,Z.",
+    values=("centre", "origin"),
 )
 @quiet_option
 def warp(

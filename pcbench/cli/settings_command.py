@@ -9,11 +9,12 @@ from typing import Any
 
 import click
 
+from pcbench.cli.help import GroupedCommand, GroupedOption
 from pcbench.cli.options import FiniteRange
 from pcbench.options import Option, options_of
 
 
-class SettingsCommand(click.Command):
+class SettingsCommand(GroupedCommand):
     """A command with an option for each field of settings that has one.
 
     Settings are imported when their options are needed, because they import numpy.
@@ -46,11 +47,11 @@ class SettingsCommand(click.Command):
 
 def _option(name: str, option: Option) -> click.Option:
     """Return the option of click that sets the field of a name."""
-    kind: Any = None
+    kind: Any = click.Path() if option.metavar == "FILE" else None
     if (bounds := option.bounds) is not None:
         range_type = click.IntRange if bounds.kind is int else FiniteRange
         kind = range_type(min=bounds.low, max=bounds.high, min_open=bounds.is_open)  # type: ignore[arg-type]
-    return click.Option(
+    return GroupedOption(
         [option.flag, name],
         help=option.help,
         metavar=option.metavar,
@@ -59,6 +60,8 @@ def _option(name: str, option: Option) -> click.Option:
         multiple=option.is_repeatable,
         show_default=option.shows_default,
         default=False if option.is_flag else option.default if option.shows_default else None,
+        group=option.group,
+        values=option.values,
     )
 
 

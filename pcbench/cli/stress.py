@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pcbench.cli.help import command, option
 from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import (
     FILE,
@@ -17,60 +18,61 @@ from pcbench.cli.options import (
 )
 from pcbench.cli.pairs import read_pair
 from pcbench.cli.workers import workers_options
-from pcbench.options import split_names
+from pcbench.options import OptionGroup, split_names
 
 
-@click.command(short_help="Find where registration, metrics and verdicts break.")
+@command(short_help="Find where registration, metrics and verdicts break.")
 @click.argument("reference", type=FILE, required=False)
 @click.argument("candidate", type=FILE, required=False)
-@click.option(
-    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
-)
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it.")
+@option(
     "--reconstructors",
     is_flag=True,
     help="Stress reconstructors (sfm, mvs, splat) on perturbed photographs of a city instead: fewer and cropped images,"
     " blur, exposure, errors of the cameras, and surfaces without texture, with repeated facades or water.",
 )
-@click.option(
+@option(
     "--quick",
     is_flag=True,
     help="Run a few ladders with up to three levels on one scene: one to three minutes.",
 )
-@click.option(
+@option(
     "--only",
     metavar="TEXT",
     help="Run only ladders whose name, kind or subject contains TEXT; several texts with commas.",
 )
-@click.option(
+@option(
     "--methods",
     multiple=True,
     metavar="NAME,NAME,...",
     help="Methods to run, such as icp,global, or with --reconstructors sfm,mvs; may be repeated.  [default: all that"
     " are installed]",
 )
-@click.option(
+@option(
     "--seeds",
     default=1,
     show_default=True,
     type=click.IntRange(1, 1000),
     help="Number of seeds: each gives other samples, noise and starts.",
+    group=OptionGroup.LARGE_DATA,
 )
 @register_option(
     help="Method that finds the true pose of REFERENCE and CANDIDATE, as in `register`. The study ends with an error if"
-    " that pose is doubtful."
+    " that pose is doubtful.",
+    group=OptionGroup.REGISTRATION,
 )
-@click.option(
+@option(
     "--time-limit",
     default=120.0,
     show_default=True,
     type=click.FloatRange(0, 1e6, min_open=True),
     metavar="SECONDS",
     help="Time limit of each run; a run that exceeds it counts as a time-out.",
+    group=OptionGroup.LARGE_DATA,
 )
 @workers_options("as many runs as CPUs; with --reconstructors one run after another, each with all CPUs")
 @no_figures_option("charts")
-@seed_option("First random seed.")
+@seed_option("First random seed.", OptionGroup.LARGE_DATA)
 @quiet_option
 @click.pass_context
 def stress(

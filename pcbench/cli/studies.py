@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pcbench.cli.completion import bench_method_names, reconstructor_names
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
 from pcbench.cli.options import (
@@ -25,14 +27,15 @@ from pcbench.cli.options import (
 from pcbench.cli.reports import compare_and_print
 from pcbench.cli.workers import chosen_workers, workers_options
 from pcbench.errors import ReconstructionError
+from pcbench.options import OptionGroup
 
 if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.tasks import Workers
 
 
-@click.command(short_help="Compare clouds of a synthetic city, and reconstructors on another.")
-@click.option(
+@command(short_help="Compare clouds of a synthetic city, and reconstructors on another.")
+@option(
     "--out",
     type=FILE,
     metavar="FOLDER",
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for clouds and report.",
 )
-@click.option(
+@option(
     "--points",
     default=1_270_820,
     show_default=True,
@@ -49,7 +52,7 @@ if TYPE_CHECKING:
 )
 @seed_option("Random seed of the cities and their noise.")
 @no_figures_option()
-@click.option("--no-bench", is_flag=True, help="Do not run the reconstructors.")
+@option("--no-bench", is_flag=True, help="Do not run the reconstructors.")
 @quiet_option
 def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
     """Compare clouds of a synthetic city, then compare reconstructors on another.
@@ -100,66 +103,71 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     _bench_and_print(bench_job, out / "bench", JsonOutput(None), figures=figures, quiet=quiet)
 
 
-@click.command(short_help="Compare reconstructors: time and memory against accuracy.")
+@command(short_help="Compare reconstructors: time and memory against accuracy.")
 @click.argument("scene", type=FILE)
-@click.option(
+@option(
     "--reference",
     type=FILE,
     metavar="FILE",
     required=True,
     help="Reference cloud or mesh, in the frame of the scene's cameras.",
 )
-@click.option(
+@option(
     "--method",
     "methods",
     multiple=True,
     metavar="NAME",
     help="Reconstructor, as in `reconstruct`; repeat to compare several.",
+    values=reconstructor_names,
 )
-@click.option(
+@option(
     "--sweep",
     "sweeps",
     multiple=True,
     metavar="[METHOD.]KEY=V,V,...",
     help="Run with each of these values; several sweeps give all combinations.",
 )
-@click.option(
+@option(
     "--set",
     "settings",
     multiple=True,
     metavar="[METHOD.]KEY=VALUE",
     help="Setting of all methods that have it; may be repeated.",
 )
-@click.option(
+@option(
     "--seeds",
     default=1,
     show_default=True,
     type=click.IntRange(1, 1000),
     help="Run each configuration with seeds 0 to N-1.",
+    group=OptionGroup.LARGE_DATA,
 )
-@click.option(
-    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the bench; a later run resumes from it."
-)
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each run.")
+@option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the bench; a later run resumes from it.")
+@option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each run.", group=OptionGroup.LARGE_DATA)
 @cameras_option(
     "Cameras for the methods: auto, none, or a file or folder. The scene's cameras register the clouds in any case."
 )
 @masks_option
-@click.option(
+@option(
     "--truth-mesh",
     type=FILE,
     metavar="FILE",
     help="Mesh of the true surface, to which accuracy is measured.  [default: the scene's truth/mesh.ply]",
+    group=OptionGroup.INPUT,
 )
 @register_option(
-    "gauge", "Registration method: gauge (none if the cloud is georeferenced, else by its cameras), or as in `compare`."
+    "gauge",
+    "Registration method: gauge (none if the cloud is georeferenced, else by its cameras), or as in `compare`.",
+    OptionGroup.REGISTRATION,
+    bench_method_names,
 )
 @crop_option
-@click.option(
+@option(
     "--threshold",
     metavar="LENGTH,...",
     help="Distance thresholds of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the"
     " last.  [default: 1px,2px,5px]",
+    group=OptionGroup.METRICS,
 )
 @workers_options("one run after another, each with all CPUs")
 @no_figures_option("charts")
@@ -238,29 +246,42 @@ def _bench_and_print(
         raise ReconstructionError(f"{out}: none of {len(study.rows)} runs could be measured: see the messages there")
 
 
-@click.command(short_help="Measure rendered views of scenes against their photographs.")
+@command(short_help="Measure rendered views of scenes against their photographs.")
 @click.argument("scenes", nargs=-1, required=True, type=FILE, metavar="SCENE...")
-@click.option(
+@option(
     "--out",
     type=FILE,
     metavar="FOLDER",
     required=True,
     help="Folder for scores and pictures; a later run resumes from it.",
 )
-@click.option(
-    "--method", default="splat", show_default=True, metavar="NAME", help="Reconstructor that renders the views."
+@option(
+    "--method",
+    default="splat",
+    show_default=True,
+    metavar="NAME",
+    help="Reconstructor that renders the views.",
+    values=reconstructor_names,
 )
-@click.option(
+@option(
     "--hold-out",
     default="every",
     show_default=True,
     type=click.Choice(["every", "blocks"]),
     help="Held-out images: every 8th, or 8 blocks of images.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of the method; may be repeated.")
+@option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Setting of the method; may be repeated.",
+)
 @cameras_option()
 @image_scale_option
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each scene.")
+@option(
+    "--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each scene.", group=OptionGroup.LARGE_DATA
+)
 @no_figures_option()
 @quiet_option
 def views(

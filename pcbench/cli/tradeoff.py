@@ -6,45 +6,47 @@ from pathlib import Path
 
 import click
 
+from pcbench.cli.help import command, option
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option
 from pcbench.cli.pairs import read_pair
-from pcbench.options import parse_share, split_names
+from pcbench.options import OptionGroup, parse_share, split_names
 
 
-@click.command(short_help="Find a cheaper comparison that is accurate enough.")
+@command(short_help="Find a cheaper comparison that is accurate enough.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for results; a later run resumes from it.")
-@click.option(
+@option("--out", type=FILE, metavar="FOLDER", help="Folder for results; a later run resumes from it.")
+@option(
     "--tolerance",
     default="1%",
     show_default=True,
     metavar="PERCENT",
     help="Largest relative error of the recommended settings.",
 )
-@click.option(
+@option(
     "--levels",
     metavar="PERCENT,...",
     help="Shares of points or faces to keep.  [default: 50%,25%,10%,5%; with --quick 50%,10%]",
 )
-@click.option(
+@option(
     "--seeds",
     type=click.IntRange(3, 100),
     metavar="N",
     help="Rounds, each with another random seed.  [default: 5; with --quick 3]",
+    group=OptionGroup.LARGE_DATA,
 )
-@click.option(
+@option(
     "--only",
     metavar="TEXT",
     help="Run only approximations whose name contains TEXT, such as random or ICP; several texts with commas.",
 )
-@click.option("--quick", is_flag=True, help="Run few approximations.")
-@register_option()
+@option("--quick", is_flag=True, help="Run few approximations.")
+@register_option(group=OptionGroup.REGISTRATION)
 @json_option("tradeoff.json")
 @no_figures_option("charts")
-@seed_option("First random seed.")
+@seed_option("First random seed.", OptionGroup.LARGE_DATA)
 @quiet_option
 def tradeoff(
     reference: Path,

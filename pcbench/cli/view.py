@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pcbench.cli.help import command, option
 from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import FILE, scene_folder, scene_options
 from pcbench.cli.training import PAGE
@@ -17,9 +18,9 @@ if TYPE_CHECKING:
     from pcbench.report.viewing import SceneFolder
 
 
-@click.command(short_help="Show a report, a cloud or a mesh in a window.")
+@command(short_help="Show a report, a cloud or a mesh in a window.")
 @click.argument("path", type=FILE)
-@click.option("--screenshot", type=FILE, metavar="FILE", help="Write a PNG picture instead of opening a window.")
+@option("--screenshot", type=FILE, metavar="FILE", help="Write a PNG picture instead of opening a window.")
 @scene_options
 @click.pass_context
 def view(context: click.Context, path: Path, screenshot: Path | None, scene: Path | None, cameras: str) -> None:

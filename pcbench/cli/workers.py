@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from pcbench.cli.help import option
+from pcbench.options import OptionGroup
+
 if TYPE_CHECKING:
     from pcbench.tasks import Workers
 
@@ -21,16 +24,18 @@ def workers_options(default: str) -> Callable[[_Command], _Command]:
     """
 
     def add(command: _Command) -> _Command:
-        command = click.option(
+        command = option(
             "--cluster",
             metavar="ADDRESS",
             help="Run on a Dask cluster: the address of its scheduler, or its scheduler file (extra `cluster`).",
+            group=OptionGroup.LARGE_DATA,
         )(command)
-        return click.option(
+        return option(
             "--workers",
             type=click.IntRange(1, 10_000),
             metavar="N",
             help=f"Number of runs at the same time, each with one thread.  [default: {default}]",
+            group=OptionGroup.LARGE_DATA,
         )(command)
 
     return add

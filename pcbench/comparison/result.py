@@ -10,10 +10,13 @@ from typing import Any
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.report import exports, plot
+from pcbench.report.answer import answer
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.table import html
+
+_MAX_SHOWN_CANDIDATES = 2  # whose numbers the text of a comparison has
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,6 +109,13 @@ class Comparison(FinishedComparison):
             MissingExtra: pandas is not installed.
         """
         return exports.data_frame(self)
+
+    def __repr__(self) -> str:
+        """Return the first sentence of the answer, and each candidate, or the names of more than two."""
+        sentence = answer(self)[0].partition(". ")[0].removesuffix(".")
+        names = f"{len(self)} candidates: {', '.join(c.name for c in self)}"
+        rest = map(repr, self) if len(self) <= _MAX_SHOWN_CANDIDATES else [names]
+        return "\n  ".join([f"Comparison: {sentence}.", *rest])
 
     def _repr_html_(self) -> str:
         """Return the table for a notebook."""

@@ -110,6 +110,7 @@ def run(
     *,
     step: Callable[[str], None] = lambda _: None,
     on_notice: Callable[[str], None] = lambda _: None,
+    on_comparison: Callable[[Comparison], None] = lambda _: None,
 ) -> ComparisonOutcome:
     """Compute a comparison and write its report.
 
@@ -119,6 +120,7 @@ def run(
         step: called with a short text before each step that takes time.
         on_notice: called with one line if the size of the clouds decides that they are compared in tiles, and if files
             of a run are kept or removed.
+        on_comparison: called with the comparison before its report is written, which takes longest for the pictures.
 
     Raises:
         PcbenchError, OSError: an input, a setting or an output is invalid; nothing was written.
@@ -130,9 +132,12 @@ def run(
     plan = ProgressPlan(step, _expected_seconds(request, outputs, clouds))
     with _workspace(request, clouds, outputs.folder, on_notice) as workspace:  # kept until the report is complete
         if outputs.folder is None:
-            return _compute(request, plan, workspace)
+            outcome = _compute(request, plan, workspace)
+            on_comparison(outcome.comparison)
+            return outcome
         with report_folder(outputs.folder, keep=request.files) as folder:
             outcome = _compute(request, plan, workspace, folder / MAPS)
+            on_comparison(outcome.comparison)
             plan("writing the report")
             outcome = replace(outcome, without_page=write_report(folder, outcome.comparison, request.figures))
             if outputs.figures:

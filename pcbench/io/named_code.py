@@ -10,7 +10,7 @@ import importlib
 import importlib.util
 import sys
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -109,20 +109,26 @@ def code_file(spec: str) -> Path | None:
     return Path(file) if colon and file.endswith(SUFFIX) else None
 
 
-def error_summary(error: BaseException, file: str | None = None) -> str:
+def error_summary(error: BaseException, files: Collection[str] = ()) -> str:
     """Return an error of a user's code on one line, with the file and the line where it was raised.
 
     Args:
         error: the error.
-        file: file of which the last line is named; None, or not among those that ran: the innermost one.
+        files: files of which the innermost line is named; if none of them ran, the innermost line of all is named.
     """
+    if isinstance(error, SyntaxError) and error.filename is not None:  # its text has the line, but only a file's name
+        return _line_of(error, error.msg, (error.filename, error.lineno))
     places, traceback = [], error.__traceback__
     while traceback is not None:
         places.append((traceback.tb_frame.f_code.co_filename, traceback.tb_lineno))
         traceback = traceback.tb_next
-    chosen = [place for place in places if place[0] == file] or places
-    location = f" ({chosen[-1][0]}, line {chosen[-1][1]})" if chosen else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{location}"
+    chosen = [place for place in places if place[0] in files] or places
+    return _line_of(error, str(error), chosen[-1] if chosen else None)
+
+
+def _line_of(error: BaseException, text: str, place: tuple[str, int | None] | None) -> str:
+    location = f" ({place[0]}, line {place[1]})" if place is not None else ""
+    return f"{type(error).__name__}: {' '.join(text.split())}{location}"
 
 
 def _origin(point: EntryPoint) -> str:

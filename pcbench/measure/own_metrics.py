@@ -253,7 +253,7 @@ def measure_own(metrics: Sequence[OwnMetric], pair: MeasuredPair) -> OwnResults:
             with redirect_stdout(sys.stderr):
                 returned = metric.function(pair)
         except (Exception, SystemExit) as error:  # it may raise anything
-            values, problem = {}, error_summary(error, _file_of(metric.function))
+            values, problem = {}, error_summary(error, _files_of(metric.function))
         else:
             values, problem = _values(returned)
             problem = problem and f"{problem}{_place(metric.function)}"
@@ -308,6 +308,11 @@ def _is_metric(value: Any) -> bool:
 
 
 _METRICS = CodeKind(ENTRY_POINT_GROUP, "metric", "FUNCTION", inspect.isfunction)
+
+
+def installed_metrics() -> tuple[str, ...]:
+    """Return the names of the installed user-defined metrics, sorted."""
+    return _METRICS.installed_names()
 
 
 def _way(points: FloatArray, matches: Matches, others: FloatArray, normals: FloatArray | None) -> MeasuredWay:
@@ -381,9 +386,9 @@ def _described(value: Any) -> str:
     return f"the class {value.__name__}" if inspect.isclass(value) else f"an object of type {type(value).__name__}"
 
 
-def _file_of(function: Callable[..., Any]) -> str | None:
+def _files_of(function: Callable[..., Any]) -> list[str]:
     code = getattr(inspect.unwrap(function), "__code__", None)
-    return None if code is None else code.co_filename
+    return [] if code is None else [code.co_filename]
 
 
 def _place(function: Callable[..., Any]) -> str:

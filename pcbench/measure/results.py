@@ -260,7 +260,7 @@ class ReferenceSummary:
     check_points: CloudAccuracy | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
     """All results of one candidate: registration, metrics, budget, deviation maps, changes and deformation.
 
@@ -313,6 +313,12 @@ class Candidate:
         """Return whether no part changed and noise explains the distances to the surface, as far as both are known."""
         changed = self.changes is not None and bool(self.changes.found)
         return not changed and (self.budget is None or self.budget.accuracy.is_noise)
+
+    def __repr__(self) -> str:
+        off, distance = self.metrics.d2_rms.accuracy.value, self.metrics.mean_distance
+        surface = "" if off is None else f"{off:.4g} RMS off the surface, "
+        means = f"mean distance {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c"
+        return f"<Candidate {self.name}: {surface}{means}, deformation {self.deformation.verdict}>"
 
 
 class LeftOut(NamedTuple):

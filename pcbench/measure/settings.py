@@ -21,17 +21,19 @@ from pcbench.io.check_points import read_check_points
 from pcbench.io.named_code import code_file
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
-from pcbench.measure.own_metrics import MetricFunction, OwnMetric, check_metrics
+from pcbench.measure.own_metrics import MetricFunction, OwnMetric, check_metrics, installed_metrics
 from pcbench.options import (
     CLASSES_HELP,
     CROP_HELP,
     MAX_AXIS_HELP,
     METRIC_HELP,
     MIN_OPACITY_HELP,
+    REGIONS,
     REGISTER_HELP,
     RETURNS_HELP,
     VERTICES_HELP,
     Bounds,
+    OptionGroup,
     parse_integers,
     parse_lengths,
     parse_returns,
@@ -41,6 +43,7 @@ from pcbench.options import (
 from pcbench.registration import ControlPoints, GivenPose, Method, as_method, as_similarity
 from pcbench.registration.control_points import fit_pairs
 from pcbench.registration.given import absolute_text, method_files
+from pcbench.registration.methods import METHODS
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
 _RARE_SETTINGS = ("tolerance", "vertices", "samples", "mpeg_peak", "checkpoints", "metrics", "deformation")
@@ -85,23 +88,25 @@ class Settings:
     """
 
     register: Method | Similarity | ArrayLike | str = setting(
-        "icp", "--register", REGISTER_HELP, metavar="HOW", shows_default=True
+        "icp", "--register", REGISTER_HELP, metavar="HOW", shows_default=True, values=METHODS
     )
-    crop: Region | str = setting("none", "--crop", CROP_HELP, metavar="REGION", shows_default=True)
+    crop: Region | str = setting("none", "--crop", CROP_HELP, metavar="REGION", shows_default=True, values=REGIONS)
     thresholds: tuple[float, ...] | None = setting(
         None,
         "--thresholds",
-        "F-score distance thresholds, in the clouds' unit.  [default: 1, 2 and 5 times the reference's point spacing]",
+        "Distance thresholds of the F-score.  [default: 1, 2 and 5 times the reference's point spacing]",
         metavar="T,T,...",
         parse=parse_lengths,
     )
     presets: tuple[str, ...] = setting(
         (),
         "--preset",
-        "Also compute metrics as defined by open3d, pytorch3d, kaolin, point-cloud-utils, pdal or tnt (repeatable);"
-        " gao2025 and mpeg are always computed.",
+        "Besides gao2025 and mpeg, compute metrics as open3d, pytorch3d, kaolin, point-cloud-utils, pdal or tnt define"
+        " them (repeatable).",
         metavar="NAME",
         is_repeatable=True,
+        group=OptionGroup.METRICS,
+        values=presets.NAMES,
     )
     maps: tuple[str, ...] = setting(
         (),
@@ -109,22 +114,28 @@ class Settings:
         "Also compute this deviation map: poisson, poisson-meshlab or m3c2 (repeatable).",
         metavar="NAME",
         is_repeatable=True,
+        group=OptionGroup.METRICS,
+        values=MAPS,
     )
     seed: int = setting(
         0,
         "--seed",
-        "Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.",
+        "Random seed.",
         bounds=Bounds(int, 0),
         shows_default=True,
+        group=OptionGroup.METRICS,
     )
     normal_neighbors: int = 20
-    classes: tuple[int, ...] | None = setting(None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers)
+    classes: tuple[int, ...] | None = setting(
+        None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers, group=OptionGroup.INPUT
+    )
     returns: str | tuple[int, ...] | None = setting(
         None,
         "--returns",
         RETURNS_HELP,
         metavar="WHICH",
         parse=parse_returns,
+        group=OptionGroup.INPUT,
     )
     min_opacity: float | None = setting(
         None,
@@ -132,6 +143,7 @@ class Settings:
         MIN_OPACITY_HELP,
         metavar="OPACITY",
         bounds=Bounds(float, 0, 1),
+        group=OptionGroup.INPUT,
     )
     max_axis: float | None = setting(
         None,
@@ -139,47 +151,54 @@ class Settings:
         MAX_AXIS_HELP,
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
+        group=OptionGroup.INPUT,
     )
     initial: Similarity | ArrayLike | None = None
     m3c2: M3C2Settings | str | None = setting(
         None,
         "--m3c2",
-        "Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
+        "Settings of --map m3c2, which they imply: radius, depth, normal_radius, registration_error, cores=FILE.",
         metavar="NAME=VALUE,...",
+        group=OptionGroup.METRICS,
     )
     tolerance: float | None = setting(
         None,
         "--tolerance",
-        "For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
-        " interval of their mean square within this tolerance, such as 1%.",
+        "Estimate D2 from a sample that is large enough for a 95 % confidence interval within this tolerance, such as"
+        " 1%.",
         metavar="PERCENT",
         parse=parse_share,
+        group=OptionGroup.LARGE_DATA,
     )
     vertices: bool = setting(
         False,
         "--vertices",
         VERTICES_HELP,
+        group=OptionGroup.INPUT,
     )
     samples: int | None = setting(
         None,
         "--sample",
-        "Number of points sampled on each mesh, uniformly by area.  [default: a million on a reference, and ten per"
-        " point of the reference on a candidate, 100,000 to 5 million]",
+        "Points sampled on each mesh, by area.  [default: a million on a reference; on a candidate ten per point of the"
+        " reference, 100,000 to 5 million]",
         bounds=Bounds(int, 1, MAX_SAMPLES),
+        group=OptionGroup.INPUT,
     )
     mpeg_peak: float | None = setting(
         None,
         "--mpeg-peak",
-        "Peak of MPEG's PSNR, the --resolution of pc_error, such as 1023.  [default: the largest distance between"
-        " nearest neighbours in the reference]",
+        "Peak of MPEG's PSNR, such as 1023.  [default: the largest distance between nearest neighbours in the"
+        " reference]",
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
+        group=OptionGroup.METRICS,
     )
     checkpoints: str | None = setting(
         None,
         "--checkpoints",
-        "Also test the accuracy of all clouds by the check points in this file, as `pcbench checkpoints` does.",
+        "Also test all clouds by the check points in this file.",
         metavar="FILE",
+        group=OptionGroup.METRICS,
     )
 
     metrics: tuple[str | MetricFunction | OwnMetric, ...] = setting(
@@ -188,12 +207,15 @@ class Settings:
         METRIC_HELP,
         metavar="WHICH",
         is_repeatable=True,
+        group=OptionGroup.METRICS,
+        values=installed_metrics,
     )
     deformation: bool = setting(
         True,
         "--no-deformation",
-        "Do not test for deformation: saves up to a third of the time in large clouds, and half of it in small ones.",
+        "Do not test for deformation, which takes up to half of the time.",
         parse=lambda flag, is_given: not is_given,
+        group=OptionGroup.METRICS,
     )
 
     def __post_init__(self) -> None:

@@ -19,7 +19,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
-from pcbench.io.named_code import CodeKind
+from pcbench.io.named_code import CodeKind, error_summary
+from pcbench.plugins.code import plugin_files
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 
@@ -132,7 +133,14 @@ class Plugin:
     def missing(self) -> str | None:
         """Why the reconstructor cannot run here, as it reports; None if it can."""
         check = getattr(self.cls, "missing", None)
-        return check() if callable(check) else None
+        try:
+            return check() if callable(check) else None
+        except Exception as error:  # it may raise anything
+            return f"missing() failed: {self.error_summary(error)}"
+
+    def error_summary(self, error: Exception) -> str:
+        """Return an error of the reconstructor on one line, with the innermost line of the reconstructor."""
+        return error_summary(error, {str(file) for _, file in plugin_files(self.cls.__module__)})
 
     def configure(self, settings: Mapping[str, str]) -> Reconstructor:
         """Create a reconstructor from settings as text, converted to the types of its fields.
@@ -154,6 +162,8 @@ class Plugin:
             raise
         except (TypeError, ValueError) as error:
             raise InputError(f"{self.name}: {error}") from error
+        except Exception as error:  # its check of the settings may raise anything
+            raise InputError(f"{self.name}: {self.error_summary(error)}") from error
         return reconstructor
 
 
@@ -184,10 +194,16 @@ _RECONSTRUCTORS = CodeKind(ENTRY_POINT_GROUP, "reconstructor", "CLASS", _is_reco
 
 
 def _check_plugin(spec: str, origin: str, cls: Any) -> Plugin:
+    method: Any = getattr(cls, "reconstruct", None)
     if not (inspect.isclass(cls) and is_dataclass(cls) and _is_reconstructor(cls)):
         raise InputError(
             f"{spec}: expected a dataclass with a method reconstruct(self, scene, workspace), got {_describe(cls)}"
         )
+    try:
+        inspect.signature(method).bind("self", "scene", "workspace")
+    except TypeError:
+        form = f"reconstruct{inspect.signature(method)}"
+        raise InputError(f"{spec}: expected a method reconstruct(self, scene, workspace), got {form}") from None
     try:
         get_type_hints(cls)
     except NameError as error:

@@ -68,7 +68,7 @@ def _reconstruct(plugin: Plugin, reconstructor: Reconstructor, scene: Scene, wor
         return {"status": "failed", "message": str(error)}
     except Exception as error:
         traceback.print_exc()
-        reason = _disk_problem(error, workspace) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        reason = _disk_problem(error, workspace) or plugin.error_summary(error)
         return {"status": "crashed", "message": reason}
     if not isinstance(result, Reconstruction):
         what = type(result).__name__

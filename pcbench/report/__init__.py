@@ -7,7 +7,7 @@ from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import html, markdown, rows
-from pcbench.report.terminal import print_columns, print_comparison
+from pcbench.report.terminal import print_columns, print_comparison, print_outputs, print_result
 from pcbench.report.viewing import ViewingCameras
 
 __all__ = [
@@ -21,6 +21,8 @@ __all__ = [
     "markdown",
     "print_columns",
     "print_comparison",
+    "print_outputs",
+    "print_result",
     "report_folder",
     "rows",
     "to_json",

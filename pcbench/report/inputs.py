@@ -10,7 +10,6 @@ from pcbench.geometry.datums import StatedSystem
 from pcbench.measure.results import Candidate, Difference, ReferenceSummary, Tiling
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.measure.wording import pluralize
 from pcbench.report.viewing import SceneFolder, ViewingCameras
 
 
@@ -102,16 +101,3 @@ class FinishedComparison:
 
     def __len__(self) -> int:
         return len(self.candidates)
-
-    def __repr__(self) -> str:
-        unit = f" {self.reference.unit}" if self.reference.unit else ""
-        count, spacing = pluralize(self.reference.points, "point"), self.reference.spacing_median
-        lines = [f"Comparison with {count}, spacing {spacing:.3g}{unit}"]
-        for candidate in self.candidates:
-            distance = candidate.metrics.mean_distance
-            lines.append(
-                f"  {candidate.name}: {pluralize(candidate.points, 'point')}, mean distance"
-                f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
-                f" deformation {candidate.deformation.verdict}"
-            )
-        return "\n".join(lines)

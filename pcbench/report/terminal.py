@@ -27,7 +27,19 @@ _UNBOUNDED_WIDTH = 100_000  # terminal columns for pipes and files
 
 
 def print_comparison(comparison: FinishedComparison, *, full: bool = False, folder: Path | None = None) -> None:
-    """Print the answer, the warnings, the main metrics, and the location of all others.
+    """Print the result of a comparison, then the location of all other outputs; see `print_result`.
+
+    Args:
+        comparison: the comparison.
+        full: whether to print all metrics and all sentences.
+        folder: the report folder, if there is one.
+    """
+    print_result(comparison, full=full)
+    print_outputs(comparison, full=full, folder=folder)
+
+
+def print_result(comparison: FinishedComparison, *, full: bool = False) -> None:
+    """Print the answer, the warnings and the main metrics.
 
     Sentences are wrapped between words on a terminal, or if COLUMNS sets a width. In a file or a pipe each is one line,
     and the table has all columns.
@@ -35,17 +47,11 @@ def print_comparison(comparison: FinishedComparison, *, full: bool = False, fold
     Args:
         comparison: the comparison.
         full: whether to print all metrics and all sentences; with intervals if the table then fits into the width.
-        folder: the report folder, if there is one.
     """
-    console = _console()
-    wraps = console.is_terminal or "COLUMNS" in os.environ
-    if not wraps:
-        console.width = _UNBOUNDED_WIDTH
+    console = _wrapping_console()
 
     def say(text: str, style: str = "") -> None:
-        if wraps:  # paths and names are not broken
-            text = textwrap.fill(text, console.width, break_long_words=False, break_on_hyphens=False)
-        console.print(text, style=style, soft_wrap=True)
+        _say(console, text, style)
 
     say(title(comparison), "bold")
     for sentence in (*answer(comparison), *remarks(comparison)):
@@ -75,10 +81,13 @@ def print_comparison(comparison: FinishedComparison, *, full: bool = False, fold
         for sentence in details(comparison):
             say(sentence)
         console.print()
-    for text in _other_outputs(
-        folder, full=full, is_sample=any(c.deviation.sampled_from is not None for c in comparison)
-    ):
-        say(text, "dim")
+
+
+def print_outputs(comparison: FinishedComparison, *, full: bool = False, folder: Path | None = None) -> None:
+    """Print where all metrics are, or how to get them; arguments as for `print_comparison`."""
+    is_sample = any(candidate.deviation.sampled_from is not None for candidate in comparison)
+    for text in _other_outputs(folder, full=full, is_sample=is_sample):
+        _say(_wrapping_console(), text, "dim")
 
 
 def print_columns(rows: Iterable[Sequence[str]]) -> None:
@@ -119,6 +128,20 @@ def _console() -> Console:
     if console.width < 1:  # some shells set COLUMNS=0 if they do not know the width
         console.width = _DEFAULT_WIDTH
     return console
+
+
+def _wrapping_console() -> Console:
+    """Return a console with the width of the terminal or of COLUMNS; otherwise lines have no end."""
+    console = _console()
+    if not (console.is_terminal or "COLUMNS" in os.environ):
+        console.width = _UNBOUNDED_WIDTH
+    return console
+
+
+def _say(console: Console, text: str, style: str = "") -> None:
+    """Print a sentence, wrapped between words: paths and names are not broken."""
+    text = textwrap.fill(text, console.width, break_long_words=False, break_on_hyphens=False)
+    console.print(text, style=style, soft_wrap=True)
 
 
 def _print_lines(console: Console, names: Sequence[str], unit: str, table: Sequence[Line | None]) -> None:

@@ -6,6 +6,9 @@ import subprocess
 import sys
 
 import pytest
+from click.shell_completion import ShellComplete
+
+from pcbench.cli import app
 
 # The console script, wherever it is installed.
 _PCBENCH = "import sys; sys.argv[0] = 'pcbench'; from pcbench.cli import main; main()"
@@ -37,3 +40,29 @@ def test_commands_and_options_are_offered():
     assert complete("pcbench", "synth", "") == ["city", "warp"]
     assert complete("pcbench", "register", "--js") == ["--json"]
     assert complete("pcbench", "views", "--hold-out", "b") == ["blocks"]
+
+
+def offers(*words):
+    """Return the completions of the last word, without a shell: names, or the kind of name that the shell completes."""
+    items = ShellComplete(app, {}, "pcbench", "").get_completions([*words[:-1]], words[-1])
+    return [item.value if item.type == "plain" else item.type for item in items]
+
+
+def test_names_are_offered_as_values():
+    compare = "compare", "ref.ply", "a.ply"
+    assert offers(*compare, "--register", "global") == ["global", "global-similarity"]
+    assert offers(*compare, "--register", "p") == ["points:"]
+    assert offers(*compare, "--preset", "mpeg,p") == ["mpeg,pdal", "mpeg,pytorch3d", "mpeg,point-cloud-utils"]
+    assert offers("evaluate", "--protocol", "e") == ["eth3d"]
+    assert offers("bench", "city", "--register", "g") == ["gauge", "global", "global-similarity"]
+    assert offers("reconstruct", "mv") == offers("bench", "city", "--method", "mv") == ["mvs"]
+    assert offers("quality", "a.laz", "--background", "") == ["dark", "white", "black"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("change", ""), ("change", "--zones", ""), ("compare", "--json", ""), ("reconstruct", "mine.p")],
+    ids=" ".join,
+)
+def test_the_shell_completes_files(words):
+    assert offers(*words) == ["file"]

@@ -55,6 +55,20 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     assert "| D1 MSE |" in (files / "report/table.md").read_text()
 
 
+def test_the_answer_is_printed_before_the_report_is_written(files, run, monkeypatch):
+    """Pictures take longer than a comparison of small clouds, and a full disk must not lose the answer."""
+
+    def fail(*_):
+        raise OSError(28, "No space left on device", "report/report.html")
+
+    _, expected, _ = run("compare", "ref.ply", "a.ply")
+    monkeypatch.setattr("pcbench.comparison.run.write_report", fail)
+    code, out, err = run("compare", "ref.ply", "a.ply", "--out", "report")
+    assert (code, is_one_line(err)) == (2, True)
+    assert out == expected.rpartition("--out")[0]
+    assert not Path("report").exists()
+
+
 @pytest.mark.with_deformation
 def test_without_the_test_for_deformation_other_numbers_stay(report, run):
     options = ("--no-deformation", "--no-figures", "--out")

@@ -456,7 +456,8 @@ def test_access_by_name_and_iteration(pair, tmp_path):
     assert page.count("<table>") == 1
     assert "&lt;b&gt;" in page
     assert "<b>" not in page.replace("<p><b>", "")  # names are escaped
-    assert f"{comparison['a'].metrics.d1_mse.accuracy.value:.4g}" in page
+    d1 = comparison["a"].metrics.d1_mse.accuracy
+    assert f"{d1.value:.4g} [{d1.interval.low:.4g}, {d1.interval.high:.4g}]" in page
 
 
 def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):

@@ -76,14 +76,19 @@ def test_documented_plugin_runs(scene, tmp_path):
         r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL
     )
     (tmp_path / "mine.py").write_text(code[1])
-    command = code[2].split()
-    assert command[:4] == ["pcbench", "reconstruct", "mine.py:Subsampled", "photos/"]
+    scene.rename(tmp_path / "city")
     process = subprocess.run(
-        [sys.executable, "-m", "pcbench.cli", *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "pcbench.cli", *code[2].split()[1:]],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (process.returncode, process.stderr) == (0, "")
-    assert "10 points, georeferenced, 3 cameras" in process.stdout
-    np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").points, POINTS[::3])
+    assert "105 points, georeferenced, 3 cameras" in process.stdout
+    ground = read_cloud(tmp_path / "flat.ply")
+    assert len(ground.points) == 3 * 7 * 5  # images of 40 x 30 pixels
+    np.testing.assert_allclose(ground.points[:, 2], 0, atol=1e-5)  # float32 at some ten metres
 
 
 def test_run_returns_the_complete_reconstruction(scene, plugin, tmp_path):
@@ -201,6 +206,7 @@ def test_invalid_jobs_are_refused(scene, plugin, tmp_path):
     check_refusal(ReconstructionJob(spec, tmp_path / "nowhere"))
     (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
     check_refusal(ReconstructionJob(f"{tmp_path}/broken.py:A", scene))
+    check_refusal(ReconstructionJob(plugin(VALID_BODY, "@classmethod\ndef missing(cls): return 1 / 0"), scene))
 
 
 def test_settings_are_converted(plugin):
@@ -227,6 +233,8 @@ def test_settings_are_converted(plugin):
     for name, text in (("flag", "maybe"), ("n", "1.5"), ("maybe", "much")):
         with check_error():
             reconstructor.configure({name: text})
+    with check_error():
+        find_plugin(plugin(VALID_BODY, "n: int\ndef __post_init__(self): 1 / self.n")).configure({"n": "0"})
 
 
 @pytest.mark.parametrize("text", ["99999999999999999999", "2147483648", "-2147483649", "9" * 5000, "1_" + "0" * 30])
@@ -254,7 +262,9 @@ def test_required_settings_are_named(plugin):
 
 def test_invalid_reconstructors_are_refused(tmp_path):
     (tmp_path / "a.py").write_text("class A:\n    def reconstruct(self, scene, workspace): ...\nB = 3\n")
-    for file, name in (("a", "A"), ("a", "B"), ("a", "C"), ("b", "A")):
+    (tmp_path / "c.py").write_text(f"{IMPORTS}\n@dataclass\nclass A:\n    def reconstruct(self, scene): ...\n")
+    (tmp_path / "d.py").write_text("class A\n")
+    for file, name in (("a", "A"), ("a", "B"), ("a", "C"), ("b", "A"), ("c", "A"), ("d", "A")):
         with check_error():
             find_plugin(f"{tmp_path}/{file}.py:{name}")
     with pytest.raises(InputError, match="nowhere"):  # Python's reason follows

@@ -8,6 +8,7 @@ from wording import check_error, check_text
 
 import pcbench
 from pcbench import Cloud, PcbenchError, Settings
+from pcbench.report.answer import answer
 
 
 @pytest.fixture
@@ -96,7 +97,13 @@ def test_arrays_and_paths_are_written_like_clouds(files, tmp_path):
 
 
 def test_a_comparison_has_a_short_repr(files):
-    comparison = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
-    _, *rest = check_text(repr(comparison)).splitlines()
-    assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
-    assert max(map(len, repr(comparison).splitlines())) < 120
+    """The answer is first; more than two candidates are only named."""
+    candidates = [files["a.xyz"], files["b.npy"], files["b.npy"]]
+    for count in (2, 3):
+        comparison = pcbench.compare(Cloud(files["ref.ply"], unit="m"), candidates[:count], register="none")
+        sentence, *rest = check_text(repr(comparison)).splitlines()
+        assert sentence.removeprefix("Comparison: ").removesuffix(".") in answer(comparison)[0]
+        assert len(rest) == {2: 2, 3: 1}[count]
+        assert max(map(len, rest)) < 120
+    assert repr(comparison["candidate_1"]) == str(comparison.candidates[0])  # no arrays
+    assert len(repr(comparison["candidate_1"]).splitlines()) == 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pcbench.errors import InputError
 from pcbench.geometry.units import metres
-from pcbench.options import CLASSES_HELP, RETURNS_HELP, Bounds, parse_integers, parse_returns, setting
+from pcbench.options import CLASSES_HELP, RETURNS_HELP, Bounds, OptionGroup, parse_integers, parse_returns, setting
 
 SURFACES = ("auto", "tin", "plane")
 STANDARDS = ("asprs2", "nssda")
@@ -41,6 +41,8 @@ class CheckPointSettings:
         " around it) or auto (the plane if the noise exceeds the point spacing, else the triangle).",
         metavar="HOW",
         shows_default=True,
+        group=OptionGroup.METRICS,
+        values=SURFACES,
     )
     standard: str = setting(
         "asprs2",
@@ -48,6 +50,7 @@ class CheckPointSettings:
         "Standard of the statement: asprs2 (ASPRS Edition 2) or nssda (FGDC-STD-007.3-1998).",
         metavar="NAME",
         shows_default=True,
+        values=STANDARDS,
     )
     vertical_class: float | None = setting(
         None,
@@ -65,6 +68,7 @@ class CheckPointSettings:
         "Standard error of the surveyed heights, if POINTS has no column sigma or sigma_z.",
         metavar="LENGTH",
         bounds=Bounds(float, 0),
+        group=OptionGroup.INPUT,
     )
     sigma_xy: float | None = setting(
         None,
@@ -72,13 +76,18 @@ class CheckPointSettings:
         "Standard error of the surveyed x and of y, if POINTS has no column sigma or sigma_xy.",
         metavar="LENGTH",
         bounds=Bounds(float, 0),
+        group=OptionGroup.INPUT,
     )
     classes: tuple[int, ...] | None = setting(None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers)
     returns: str | tuple[int, ...] | None = setting(
-        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns
+        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns, group=OptionGroup.INPUT
     )
     unit: str | None = setting(
-        None, "--unit", "Unit of CLOUD and POINTS, such as m or US-ft, if CLOUD states none.", metavar="UNIT"
+        None,
+        "--unit",
+        "Unit of CLOUD and POINTS, such as m or US-ft, if CLOUD states none.",
+        metavar="UNIT",
+        group=OptionGroup.INPUT,
     )
 
     def __post_init__(self) -> None:

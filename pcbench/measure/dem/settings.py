@@ -12,6 +12,7 @@ from pcbench.options import (
     CLASSES_HELP,
     RETURNS_HELP,
     Bounds,
+    OptionGroup,
     parse_integers,
     parse_numbers,
     parse_returns,
@@ -72,11 +73,14 @@ class ChangeSettings:
         metavar="METHOD",
         parse=_parse_method,
         shows_default=True,
+        group=OptionGroup.METRICS,
+        values=tuple(GridMethod),
     )
     fill_voids: bool = setting(
         False,
         "--fill-voids",
         "Give cells without points the mean difference of the eight nearest cells, at most five cells away.",
+        group=OptionGroup.METRICS,
     )
     stable: Path | None = setting(
         None,
@@ -93,6 +97,7 @@ class ChangeSettings:
         metavar="LENGTH",
         bounds=Bounds(float, 0),
         shows_default=True,
+        group=OptionGroup.METRICS,
     )
     zones: Path | None = setting(
         None,
@@ -101,12 +106,17 @@ class ChangeSettings:
         metavar="FILE",
         parse=lambda _, text: Path(text),
     )
-    classes: tuple[int, ...] | None = setting(None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers)
+    classes: tuple[int, ...] | None = setting(
+        None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers, group=OptionGroup.INPUT
+    )
     returns: str | tuple[int, ...] | None = setting(
-        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns
+        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns, group=OptionGroup.INPUT
     )
     normals: bool = setting(
-        False, "--normals", "Also measure the volume along normals, for cliffs, facades and overhangs."
+        False,
+        "--normals",
+        "Also measure the volume along normals, for cliffs, facades and overhangs.",
+        group=OptionGroup.METRICS,
     )
     profiles: tuple[Line, ...] = field(default=())
     points: tuple[Place, ...] = field(default=())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pcbench.options import CLASSES_HELP, RETURNS_HELP, Bounds, parse_integers, parse_returns, setting
+from pcbench.options import CLASSES_HELP, RETURNS_HELP, Bounds, OptionGroup, parse_integers, parse_returns, setting
 
 _LENGTH = Bounds(float, 0, is_open=True)
 
@@ -40,6 +40,7 @@ class QualitySettings:
         metavar="N",
         bounds=Bounds(int, 10),
         shows_default=True,
+        group=OptionGroup.METRICS,
     )
     max_separation: float | None = setting(
         None,
@@ -56,8 +57,12 @@ class QualitySettings:
         metavar="NAME",
         shows_default=True,
     )
-    classes: tuple[int, ...] | None = setting(None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers)
-    returns: str | tuple[int, ...] | None = setting(
-        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns
+    classes: tuple[int, ...] | None = setting(
+        None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers, group=OptionGroup.INPUT
     )
-    seed: int = setting(0, "--seed", "Random seed.", metavar="N", bounds=Bounds(int, 0), shows_default=True)
+    returns: str | tuple[int, ...] | None = setting(
+        None, "--returns", RETURNS_HELP, metavar="WHICH", parse=parse_returns, group=OptionGroup.INPUT
+    )
+    seed: int = setting(
+        0, "--seed", "Random seed.", metavar="N", bounds=Bounds(int, 0), shows_default=True, group=OptionGroup.METRICS
+    )

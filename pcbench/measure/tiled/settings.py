@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.measure.library_presets import LIBRARY_PRESETS
-from pcbench.options import Bounds, setting
+from pcbench.options import Bounds, OptionGroup, setting
 from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
@@ -53,10 +53,10 @@ class TilingSettings:
     tile_points: int | None = setting(
         None,
         "--tiles",
-        "Compute in tiles of at most SIZE points (1e6, 500k, 2M); auto, as without this option: only if the clouds do"
-        " not fit into --memory.",
+        "Compute in tiles of at most SIZE points (1e6, 500k, 2M).  [default: auto, only if the clouds exceed --memory]",
         metavar="auto|SIZE",
         parse=lambda flag, text: None if text == "auto" else parse_points(flag, text),
+        group=OptionGroup.LARGE_DATA,
     )
     memory: int = setting(
         DEFAULT_MEMORY,
@@ -64,31 +64,37 @@ class TilingSettings:
         "Memory that may be used, such as 4GiB or 500MB.  [default: 4GiB]",
         metavar="SIZE",
         parse=lambda _, text: parse_bytes(text),
+        group=OptionGroup.LARGE_DATA,
     )
     workers: int | None = setting(
         None,
         "--workers",
-        "Worker processes that compute tiles.  [default: the CPUs, as far as the memory allows]",
+        "Processes that compute tiles.  [default: the CPUs, as far as --memory allows]",
         metavar="N",
         bounds=Bounds(int, 1),
+        group=OptionGroup.LARGE_DATA,
     )
     cluster: str | None = setting(
         None,
         "--cluster",
-        "Compute tiles on a Dask cluster: tcp://HOST:PORT of its scheduler, or its scheduler file.",
+        "Compute tiles on a Dask cluster: tcp://HOST:PORT or file of its scheduler.",
         metavar="ADDRESS",
         parse=lambda _, text: check_cluster(text),
+        group=OptionGroup.LARGE_DATA,
     )
     max_distance: float | None = setting(
         None,
         "--max-distance",
-        "Compute in tiles, and search no closest point beyond this length: larger distances count as this one, and"
-        " their share is stated.",
+        "Compute in tiles, and search no closest point beyond this length, as which larger distances count.",
         metavar="LENGTH",
         bounds=Bounds(float, 0, is_open=True),
+        group=OptionGroup.LARGE_DATA,
     )
     skip_bad: bool = setting(
-        False, "--skip-bad", "Compute in tiles, and leave out damaged files, which the report lists."
+        False,
+        "--skip-bad",
+        "Compute in tiles, and leave out damaged files, which are listed.",
+        group=OptionGroup.LARGE_DATA,
     )
 
     def __post_init__(self) -> None:
