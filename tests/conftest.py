@@ -19,7 +19,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 import wording
 from budgets import checked_candidate
-from partial_comparisons import skip_deformation
+from partial_comparisons import skip_changes, skip_deformation
 
 from pcbench import cli
 from pcbench.cli import messages
@@ -159,6 +159,12 @@ def _budgets_add_up():
 def without_deformation(monkeypatch):
     """Let comparisons test no deformation, which takes half of their time."""
     skip_deformation(monkeypatch)
+
+
+@pytest.fixture
+def without_changes(monkeypatch):
+    """Let comparisons search for no changes."""
+    skip_changes(monkeypatch)
 
 
 @pytest.fixture
