@@ -1,5 +1,6 @@
 """Fixtures and hooks that several test files use."""
 
+import gc
 import os
 import random
 import signal
@@ -55,6 +56,17 @@ def pytest_collection_modifyitems(config, items):
         files.setdefault(item.path, []).append(item)
     order = rng.sample(sorted(files), len(files))
     items[:] = [item for file in order for item in rng.sample(files[file], len(files[file]))]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect tests without searching for garbage: tests and modules stay, and would be searched again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
