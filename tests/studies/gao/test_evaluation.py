@@ -15,7 +15,7 @@ from pcbench.studies.gao.results import TRUTH
 @pytest.fixture
 def clouds(tmp_path):
     rng = np.random.default_rng(0)
-    for name, count in (("reference", 2000), ("candidate", 1000)):
+    for name, count in (("reference", 6000), ("candidate", 3000)):
         points, _ = city(0).sample(count, rng)
         write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
     return tmp_path
@@ -46,7 +46,7 @@ def test_temporary_failure_is_raised_and_retried(clouds, monkeypatch, error):
     with pytest.raises(type(error)):
         evaluate(clouds)
     result = evaluate(clouds).clouds["candidate"]
-    assert (result.failure, result.points) == ("", 1000)
+    assert (result.failure, result.points) == ("", 3000)
     assert result.measures.d1_back_mse == result.r2c_mse > 0
     assert result.measures.chamfer == pytest.approx(result.measures.d1_mse + result.r2c_mse, rel=1e-12)  # one addition
 
