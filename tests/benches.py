@@ -20,8 +20,8 @@ RIG = [
     for number, a in enumerate(np.radians([0, 60, 130, 200, 290]))
 ]
 TRUTH = Cloud(
-    shapes.city(6_000, seed=1)[0],
-    attributes={"visible": (shapes.city(6_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
+    shapes.city(4_000, seed=1)[0],
+    attributes={"visible": (shapes.city(4_000, seed=1)[0][:, 0] > 10).astype(np.uint8)},
     unit="m",
 )
 # Another coordinate frame: scaled, rotated and far away.
@@ -96,7 +96,7 @@ class Missing:
     def reconstruct(self, scene, workspace):
         return Reconstruction(read_cloud(HERE / "made.ply"), "georeferenced")
 """
-POINTS = shapes.city(3000, seed=2)[0]
+POINTS = shapes.city(2000, seed=2)[0]
 
 
 def job(*methods, **options):

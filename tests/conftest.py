@@ -1,5 +1,6 @@
 """Fixtures and hooks that several test files use."""
 
+import gc
 import os
 import random
 import signal
@@ -19,7 +20,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import pytest
 import wording
 from budgets import checked_candidate
-from partial_comparisons import skip_deformation
+from partial_comparisons import skip_changes, skip_deformation
 
 from pcbench import cli
 from pcbench.cli import messages
@@ -55,6 +56,17 @@ def pytest_collection_modifyitems(config, items):
         files.setdefault(item.path, []).append(item)
     order = rng.sample(sorted(files), len(files))
     items[:] = [item for file in order for item in rng.sample(files[file], len(files[file]))]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect tests without searching for garbage: tests and modules stay, and would be searched again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -159,6 +171,12 @@ def _budgets_add_up():
 def without_deformation(monkeypatch):
     """Let comparisons test no deformation, which takes half of their time."""
     skip_deformation(monkeypatch)
+
+
+@pytest.fixture
+def without_changes(monkeypatch):
+    """Let comparisons search for no changes."""
+    skip_changes(monkeypatch)
 
 
 @pytest.fixture

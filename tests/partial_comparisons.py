@@ -1,7 +1,10 @@
 """Comparisons without the stages that a test does not check: they take most of the time of a comparison."""
 
+import numpy as np
+
+from pcbench.changes import SampledChanges
 from pcbench.comparison import in_memory, in_tiles
-from pcbench.deformation import Deformation
+from pcbench.deformation import Deformation, stable
 from pcbench.errors import Notice
 
 
@@ -10,3 +13,10 @@ def skip_deformation(monkeypatch):
     undecided = Deformation.undecided_because(Notice("few-pairs", "not tested"))
     for back_end in (in_memory, in_tiles):
         monkeypatch.setattr(back_end, "assess_deformation", lambda *_, **__: undecided)
+
+
+def skip_changes(monkeypatch):
+    """Let comparisons, in memory and in tiles, find no changes without searching for any."""
+    no_labels = np.zeros(0, np.int32)
+    none = SampledChanges((), None, (no_labels, no_labels))
+    monkeypatch.setattr(stable, "find_changes", lambda *_: none)

@@ -13,7 +13,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.deviation import Spread, m3c2
 
-pytestmark = pytest.mark.usefixtures("without_deformation")
+pytestmark = pytest.mark.usefixtures("without_deformation", "without_changes")
 
 UP = np.array([0, 0, 1.0])
 

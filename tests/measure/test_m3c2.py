@@ -14,7 +14,7 @@ import pcbench
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
 from pcbench.registration import ControlPoints
 
-pytestmark = pytest.mark.usefixtures("without_deformation")
+pytestmark = pytest.mark.usefixtures("without_deformation", "without_changes")
 
 PARAMETERS = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
 

@@ -17,10 +17,10 @@ from pcbench.geometry.splats import SPLAT_MEANS
 from pcbench.io.ply import write_ply_mesh
 from pcbench.report import document
 
-pytestmark = pytest.mark.usefixtures("without_deformation")
+pytestmark = pytest.mark.usefixtures("without_deformation", "without_changes")
 
 NOISE = 0.002
-UNREGISTERED = Settings("none", thresholds=(0.03,), seed=3)
+UNREGISTERED = Settings("none", thresholds=(0.05,), seed=3)
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def mesh():
 
 @pytest.fixture(scope="module")
 def reference(mesh):
-    points = mesh.sample(3000, seed=1).points
+    points = mesh.sample(1000, seed=1).points
     return Cloud(points + np.random.default_rng(2).normal(0, NOISE, points.shape), unit="m")
 
 
@@ -54,7 +54,7 @@ def codes(warnings):
 def test_a_mesh_is_sampled(mesh, reference):
     comparison = compare(reference, {"mesh": mesh}, UNREGISTERED)
     [found] = comparison
-    assert (found.points, found.faces) == (30_000, 80)
+    assert (found.points, found.faces) == (10_000, 80)
     assert codes(found.warnings)[0] == SAMPLED_MESH and str(found.warnings[0]).endswith("(seed 3)")
     check_text(found.warnings[0])
     # At the threshold, three times the median spacing of the samples, only the noise of the reference counts.
@@ -136,19 +136,19 @@ def test_meshes_in_python(mesh, reference):
     assert register(mesh, reference, "none").overlap == 1
     pose, deformation = deform(reference, mesh, "none", seed=5)
     assert SAMPLED_MESH in codes(pose.warnings) and "(seed 5)" in str(pose.warnings[0])
-    assert deformation.pairs > 1000
+    assert deformation.pairs > 500
 
 
 def test_meshes_in_files(files, run, tmp_path):
     reference, mesh = files
     for command in ("register", "deform"):
         code, out, err = run(command, reference, mesh, "--register", "none")
-        assert code == 0 and "measured at 30,000 points" in err
+        assert code == 0 and "measured at 10,000 points" in err
         code, out, err = run(command, reference, mesh, "--register", "none", "--vertices")
         assert code == 0 and "sampled" not in out + err
     code, out, err = run("compare", reference, mesh, "--register", "none", "--json", tmp_path / "a.json")
-    assert code == 0 and "measured at 30,000 points" in out
-    assert json.loads((tmp_path / "a.json").read_text())["candidates"][0]["points"] == 30_000
+    assert code == 0 and "measured at 10,000 points" in out
+    assert json.loads((tmp_path / "a.json").read_text())["candidates"][0]["points"] == 10_000
 
 
 def test_tiles_refuse_meshes(files, tmp_path):

@@ -15,7 +15,8 @@ def read_floats(path):
     return np.frombuffer(body, "<f4").reshape(-1, header.count(b"property float")).astype(np.float64)
 
 
-@pytest.mark.parametrize("case", [pytest.param("wave", marks=pytest.mark.long), "outliers"])
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["wave", "outliers"])
 def test_mpeg_equals_the_printed_output(case):
     folder = data_folder("dmetric")
     expected = json.loads((folder / "expected.json").read_text())["cases"][case]

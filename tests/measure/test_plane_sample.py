@@ -13,6 +13,8 @@ from pcbench.measure.plane_sample import sample_planes
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report import document, print_comparison
 
+pytestmark = pytest.mark.usefixtures("without_deformation", "without_changes")
+
 WAYS = (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
 
 
@@ -31,7 +33,7 @@ def city():
 
 @pytest.fixture(scope="module")
 def pair():
-    return shapes.city(12_000, seed=1)[0], shapes.city(10_000, noise=0.1, seed=2)[0]
+    return shapes.city(6_000, seed=1)[0], shapes.city(5_000, noise=0.1, seed=2)[0]
 
 
 @pytest.mark.parametrize("way", ["c→r", "r→c"])
@@ -101,7 +103,6 @@ def test_medians_of_a_sample_are_near_those_of_all_points(city):
     assert (estimated.std, estimated.bias, estimated.percentiles) == (None, None, None)
 
 
-@pytest.mark.usefixtures("without_deformation")
 @pytest.mark.parametrize("crop", ["none", "quantile:0.8"])
 def test_tolerance_changes_only_distances_to_planes(sampled_from_any_size, pair, crop):
     cloud, other = pair
@@ -127,7 +128,6 @@ def test_tolerance_changes_only_distances_to_planes(sampled_from_any_size, pair,
     assert estimated.presets["mpeg"].d2_mse.symmetric is None
 
 
-@pytest.mark.usefixtures("without_deformation")
 def test_a_sample_depends_on_the_seed_only(sampled_from_any_size, pair):
     cloud, other = pair
     values = [
@@ -145,7 +145,6 @@ def test_a_candidate_on_the_reference_is_exact(sampled_from_any_size, pair, caps
     assert "nan" not in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("without_deformation")
 def test_presets_are_complete_if_all_points_were_measured(sampled_from_any_size, pair, monkeypatch):
     monkeypatch.setattr(plane_sample, "_MAX_SHARE", 0.0)
     exact = compare(*pair, register="none")["candidate_1"].metrics
@@ -154,7 +153,6 @@ def test_presets_are_complete_if_all_points_were_measured(sampled_from_any_size,
     assert found.presets == exact.presets
 
 
-@pytest.mark.usefixtures("without_deformation")
 @pytest.mark.parametrize("has_normals", [False, True])
 def test_small_references_and_those_with_normals_are_measured_completely(monkeypatch, pair, has_normals, capsys):
     cloud, other = pair

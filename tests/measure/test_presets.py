@@ -14,7 +14,7 @@ from wording import check_error, check_text
 from pcbench import Cloud, Settings, compare, read_cloud, write_cloud
 from pcbench.measure.library_presets import LIBRARY_PRESETS, OneWay
 
-pytestmark = pytest.mark.usefixtures("without_deformation")
+pytestmark = pytest.mark.usefixtures("without_deformation", "without_changes")
 
 
 def compute_preset(name, reference, candidate, **settings):

@@ -54,7 +54,7 @@ def sample_city(count, seed):
 def test_contrast_is_about_one_at_the_true_pose(scene, ratio, noise):
     """Candidates of equal, lower and higher density, one with noise as large as the spacing."""
     sample = {"forest": sample_forest, "ball": sample_bumpy_ball, "city": sample_city}[scene]
-    reference, candidate = sample(16_000, 0), sample(int(16_000 / ratio), 1)
+    reference, candidate = sample(8_000, 0), sample(int(8_000 / ratio), 1)
     spacing = np.median(np.sort(np.linalg.norm(reference[:300, None] - reference[None], axis=2), axis=1)[:, 1])
     candidate = candidate + np.random.default_rng(7).normal(0, noise * spacing, candidate.shape)
     registration = register(reference, candidate, "none")
@@ -65,7 +65,7 @@ def test_contrast_is_about_one_at_the_true_pose(scene, ratio, noise):
 @pytest.mark.parametrize("shift", [(7.0, 0, 0), (0, -5.0, 0), (4.0, 4.0, 0.3)])
 def test_a_shift_in_a_forest_is_doubtful(shift):
     """Points fill the crowns: most of the candidate still lies on the reference."""
-    reference, candidate = sample_forest(16_000, 0), sample_forest(16_000, 1) + np.array(shift)
+    reference, candidate = sample_forest(8_000, 0), sample_forest(8_000, 1) + np.array(shift)
     registration = register(reference, candidate, "none")
     assert registration.overlap > 0.55
     assert DOUBTFUL_POSE in codes(registration)

@@ -13,6 +13,7 @@ from pcbench import Cloud, Settings, compare
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 
+UNTESTED = Settings(register="none", deformation=False)
 PLAIN = (150, 154, 160)  # the reference, where it has no colours
 WHITE, ORANGE = (255, 255, 255), (255, 160, 20)  # cameras, the outline of a tile
 LABELS = "[...document.querySelectorAll('.pane-name')].map((name) => name.textContent)"
@@ -25,7 +26,7 @@ def comparison():
     rng = np.random.default_rng(2)
     a, b, c = (points + rng.normal(0, 0.02, points.shape) for _ in range(3))
     b[(b[:, :2] < [500_004, 5_000_004]).all(axis=1), 2] += 0.5
-    return compare(Cloud(points, unit="m"), {"a": Cloud(a), "b": Cloud(b), "c": Cloud(c)}, Settings(register="none"))
+    return compare(Cloud(points, unit="m"), {"a": Cloud(a), "b": Cloud(b), "c": Cloud(c)}, UNTESTED)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ def comparison():
     rng = np.random.default_rng(2)
     a, b = (points + rng.normal(0, 0.02, points.shape) for _ in range(2))
     b[(b[:, :2] < [500_005, 5_000_005]).all(axis=1), 2] += 0.3
-    return compare(Cloud(points, unit="m"), {"a": Cloud(a), "b": Cloud(b)}, Settings(register="none"))
+    return compare(Cloud(points, unit="m"), {"a": Cloud(a), "b": Cloud(b)}, Settings("none", deformation=False))
 
 
 def with_deviation(comparison, map_):

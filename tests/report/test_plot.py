@@ -23,6 +23,8 @@ from pcbench.report.plot import bends, draw, worker
 from pcbench.report.plot.maps import Framing, frame
 from pcbench.report.plot.pictures import pictures
 
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
+
 # The others are compared with golden ones in test_golden_pictures.py.
 PICTURES = ("distribution", "b_distance", "b_m3c2_distance")
 

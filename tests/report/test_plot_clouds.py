@@ -17,6 +17,8 @@ from pcbench.report.viewing import ViewingCameras
 
 import_or_skip("matplotlib")
 
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
+
 
 def facade():
     """A red wall in the plane y = 0, with a green bay at its front (negative y), and a grey floor in front."""

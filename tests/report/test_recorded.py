@@ -19,6 +19,8 @@ from pcbench.report.document import document
 from pcbench.report.folder import read_settings
 from pcbench.report.recorded import record, restore
 
+pytestmark = pytest.mark.usefixtures("without_changes")
+
 ROTATION = np.array([[np.cos(0.001), -np.sin(0.001), 0], [np.sin(0.001), np.cos(0.001), 0], [0, 0, 1]])
 # The scale has no short decimal form: a 4x4 matrix would lose its last bits.
 POSE = Similarity(ROTATION, np.array([0.1, 1 / 3, -0.02]), 1.0 + 1 / 3e3)

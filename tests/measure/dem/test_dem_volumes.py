@@ -94,13 +94,13 @@ def test_intervals_cover() -> None:
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.7, 1.0])
 def test_a_larger_change_is_never_reported_less(share: float) -> None:
     """A change of any extent from 20 times the noise on is one part, whose volume grows with its height."""
-    side = 60
+    side = 40
     raised = np.zeros((side, side))
     raised[:, : round(share * side)] = 1.0
     rng = np.random.default_rng(3)
     noise = 0.05 * rng.standard_normal((2, side, side))
     grid = HeightGrid.over(np.zeros(2), np.full(2, side - 1e-6), 1.0)
-    for height in (1.0, 3.0, 30.0, 300.0):
+    for height in (1.0, 30.0, 300.0):
         result = difference_of(grid, _surface(noise[0]), _surface(noise[1] + height * raised))
         net = whole_change(result).volumes.net
         assert result.parts.max() == 1

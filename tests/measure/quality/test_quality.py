@@ -33,7 +33,7 @@ def measure(points, normals=None, settings=None, **attributes):
 @pytest.mark.parametrize("noise", [0.004, 0.03])
 def test_noise_is_recovered_far_from_the_origin(noise):
     rng = np.random.default_rng(0)
-    points = np.vstack([floor(rng, 8000, 5, noise), wall(rng, 4000, 5, 3, noise)]) + ORIGIN
+    points = np.vstack([floor(rng, 5000, 5, noise), wall(rng, 2500, 5, 3, noise)]) + ORIGIN
     surface = measure(points).surface
     assert surface.noise.value == pytest.approx(noise, rel=TEN_PERCENT)
     # The interval is that of the median over patches: it holds the truth up to the bias of a robust spread, a few per
@@ -53,7 +53,7 @@ def test_a_curved_surface_without_noise_has_relief_but_no_noise():
 @pytest.mark.parametrize("separation", [0.06, 0.25])
 def test_a_double_wall_is_found_with_its_distance(separation):
     rng = np.random.default_rng(1)
-    points = np.vstack([wall(rng, 12_000, 6, 3, 0.008, separation), floor(rng, 12_000, 6, 0.008) + [0, 0.3, 0]])
+    points = np.vstack([wall(rng, 8_000, 6, 3, 0.008, separation), floor(rng, 8_000, 6, 0.008) + [0, 0.3, 0]])
     quality = measure(points)
     walls = quality.double_walls
     assert len(walls.walls) == 1
@@ -83,8 +83,8 @@ def test_steps_rounding_and_single_walls_are_no_double_walls():
 
 def test_voids_are_found_with_their_areas_and_those_at_water_are_told_apart():
     rng = np.random.default_rng(3)
-    points = floor(rng, 20_000, 142, 0.05)
-    places = np.array([[40, 40], [100, 90]])
+    points = floor(rng, 10_000, 100, 0.05)
+    places = np.array([[25, 25], [70, 65]])
     distances = np.linalg.norm(points[:, None, :2] - places, axis=2)
     kept = (distances > [12, 20]).all(axis=1)
     classes = np.where(distances[:, 1] < 26, 9, 2)
@@ -101,7 +101,7 @@ def test_voids_are_found_with_their_areas_and_those_at_water_are_told_apart():
 
 def test_first_returns_give_the_pulse_density():
     rng = np.random.default_rng(4)
-    points = floor(rng, 20_000, 100, 0.05)
+    points = floor(rng, 10_000, 70.7, 0.05)
     numbers = np.where(rng.random(len(points)) < 0.25, 2, 1)
     density = measure(points, return_number=numbers).density
     assert density.plan.value == pytest.approx(2.0, rel=0.05)
@@ -113,7 +113,7 @@ def test_first_returns_give_the_pulse_density():
 
 def test_offsets_of_strips_are_recovered_on_a_slope():
     rng = np.random.default_rng(5)
-    points = floor(rng, 20_000, 60, 0.02)
+    points = floor(rng, 10_000, 42.4, 0.02)
     strip = rng.integers(0, 2, len(points))
     points[:, 2] += 0.2 * points[:, 0] + 0.05 * strip
     strips = measure(points, point_source_id=7 + strip).strips

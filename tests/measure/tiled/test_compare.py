@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from partial_comparisons import skip_deformation
+from partial_comparisons import skip_changes, skip_deformation
 from tiled_clouds import in_this_process
 from tiled_pairs import Pair, check_equal, noisy, surface
 from tiled_runs import as_document
@@ -142,7 +142,7 @@ def moved(points):
     return Similarity(turn, np.array([0.1, -0.1, 0.02]), 1.0).apply(points)
 
 
-def pair_of(folder, count=900, two=False, **settings):
+def pair_of(folder, count=700, two=False, **settings):
     rng = np.random.default_rng(0)
     points = surface(rng, count)
     a, b = noisy(rng, points[::2]), noisy(rng, surface(rng, count // 3))
@@ -156,6 +156,7 @@ def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case)
     in_this_process(monkeypatch)
     if "two" not in case:  # which has a seed for the test for deformation too
         skip_deformation(monkeypatch)
+        skip_changes(monkeypatch)
     if case.get("crop") == "polygon":
         file = tmp_path / "polygon.json"
         ring = [[1, 1], [8, 2], [6, 7], [2, 9], [1, 1]]
@@ -189,7 +190,7 @@ def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypat
     assert [file.read_bytes() for file in overviews[0]] == [file.read_bytes() for file in overviews[1]]
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 def test_a_maximum_distance_caps_larger_distances_and_counts_them(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair, limit = pair_of(tmp_path / "pair", thresholds=(0.05, 0.12)), 0.12
@@ -222,7 +223,7 @@ def part_lifted(rng):
     return points, lifted
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 @pytest.mark.parametrize("tile_points", [100])
 @pytest.mark.parametrize(("crop", "share"), [("none", 0.5), ("box:6,0,-5,10,10,9", 1.0)])
 def test_tiles_wholly_beyond_the_maximum_distance(tmp_path, monkeypatch, tile_points, crop, share):
@@ -242,7 +243,7 @@ def test_tiles_wholly_beyond_the_maximum_distance(tmp_path, monkeypatch, tile_po
     assert [score.fscore.value for score in metrics.fscores] == [s.fscore.value for s in exact.metrics.fscores]
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 def test_one_direction_without_distances_beyond_the_maximum_keeps_its_d2(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     points = surface(np.random.default_rng(0), 1500)
@@ -262,7 +263,7 @@ def replace_censored(comparison):
     return replace(comparison, candidates=tuple(replace(candidate, censored={}) for candidate in comparison))
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 def test_a_changed_polygon_or_matrix_is_not_mistaken_for_the_old_one(tmp_path, monkeypatch):
     """The same command in the same workspace, after a file that the settings name was edited."""
     in_this_process(monkeypatch)
@@ -277,7 +278,7 @@ def test_a_changed_polygon_or_matrix_is_not_mistaken_for_the_old_one(tmp_path, m
         check_equal(pair.tiled(), pair.memory())
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 def test_another_folder_for_the_maps_gets_them_all(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair = pair_of(tmp_path / "pair")
@@ -300,11 +301,11 @@ def test_a_reference_without_planes_is_refused(tmp_path, monkeypatch, count):
 def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     pair = pair_of(tmp_path / "pair", crop="box:50,50,50,60,60,60")
-    with pytest.raises(InputError, match=r"the crop 'box:50,50,50,60,60,60' leaves none of the reference's 900 points"):
+    with pytest.raises(InputError, match=r"the crop 'box:50,50,50,60,60,60' leaves none of the reference's 700 points"):
         pair.tiled()
 
 
-@pytest.mark.usefixtures("without_deformation")
+@pytest.mark.usefixtures("without_deformation", "without_changes")
 def test_points_that_are_not_finite_are_left_out_as_in_memory(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     monkeypatch.setattr(TilingSettings, "chosen_piece_points", 400)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from data_folder import data_folder
-from partial_comparisons import skip_deformation
+from partial_comparisons import skip_changes, skip_deformation
 from tiled_clouds import in_this_process, stored_runs
 from tiled_pairs import compare_on_disk
 
@@ -104,9 +104,10 @@ def shrink_windows(monkeypatch):
 
 @pytest.fixture
 def small_windows(monkeypatch):
-    """Shrink the windows, and skip the test for deformation."""
+    """Shrink the windows, and skip the search for changes and the test for deformation."""
     shrink_windows(monkeypatch)
     skip_deformation(monkeypatch)
+    skip_changes(monkeypatch)
 
 
 @pytest.mark.parametrize("most", [7_000, 13_000])

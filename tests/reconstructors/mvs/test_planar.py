@@ -11,13 +11,15 @@ NORMAL = np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0])
 HOLE = (slice(60, 100), slice(90, 150))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def plain():
     """Return plain photographs of a slanted plane, and an exact map with a hole of unreliable depths."""
     scene = plane_scene(NORMAL, contrast=0)
     depth, confidence = scene.depths[0].copy(), np.full(scene.depths[0].shape, 0.9, np.float32)
     depth[HOLE], confidence[HOLE] = 6.0, 0.1
     normals = np.broadcast_to(NORMAL.astype(np.float32), (*depth.shape, 3)).copy()
+    for values in (depth, normals, confidence):
+        values.flags.writeable = False  # tests share them
     return scene, DepthMap(depth, normals, confidence)
 
 

@@ -7,7 +7,7 @@ import pytest
 import shapes
 from benches import METHODS, RIG, TRUTH
 from optional import import_or_skip
-from partial_comparisons import skip_deformation
+from partial_comparisons import skip_changes, skip_deformation
 
 from pcbench import Cloud, write_cloud
 from pcbench.children import ChildResult
@@ -25,7 +25,7 @@ def bench_folder(tmp_path, monkeypatch):
         image.new("RGB", (40, 30), (len(camera.name), 0, 0)).save(tmp_path / "photos/images" / camera.name)
     write_colmap_model(tmp_path / "photos/sparse", RIG)
     write_cloud(tmp_path / "truth.ply", TRUTH)
-    write_cloud(tmp_path / "made.ply", Cloud(shapes.city(3000, seed=2)[0]))
+    write_cloud(tmp_path / "made.ply", Cloud(shapes.city(1000, seed=2)[0]))
     (tmp_path / "methods.py").write_text(METHODS)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -38,10 +38,11 @@ def truth(bench_folder):
 
 @pytest.fixture
 def in_process(monkeypatch):
-    """Run reconstructors in this process and measure no deformation, which saves a second each.
+    """Run reconstructors in this process and measure neither changes nor deformation, which saves a second each.
 
     Tests without this fixture show that separate processes protect the bench from crashes.
     """
+    skip_changes(monkeypatch)
     skip_deformation(monkeypatch)
 
     def run_module(name, *arguments, limits, environment=None, log=None):

@@ -53,7 +53,7 @@ def test_each_run_is_a_row(bench_folder, run):
     assert [(row["settings"], row["seed"]) for row in successes] == [
         (f"noise=1 image_scale={scale}", seed) for scale in ("0.5", "1") for seed in "01"
     ]
-    assert {(row["status"], row["registration"], row["points"]) for row in successes} == {("ok", "none", "3000")}
+    assert {(row["status"], row["registration"], row["points"]) for row in successes} == {("ok", "none", "1000")}
     assert len({row["threshold"] for row in successes}) == 1
     for row in successes:
         assert float(row["wall_s"]) > 0 < float(row["cpu_s"])

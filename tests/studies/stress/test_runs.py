@@ -42,11 +42,19 @@ child.main(sys.argv[1])
 PLANS = [RunPlan("registration", "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
 
 # Enough registrations for two batches, and the other subjects that have several cells for each run.
-SEEDS = [RunPlan("registration", "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
+SEEDS = [RunPlan("registration", "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(6)]
 OTHERS = [
     RunPlan("metrics", "object", "density", 1.0, None, "pcbench", 0, 3000),
     RunPlan("verdicts", "object", "density", 1.0, None, "deform", 0, 3000),
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_batches():
+    """Let few runs be two batches."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "_BATCH_RUNS", (4, 10))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +124,7 @@ def test_damaged_records_and_killed_runs_are_repeated(made, tmp_path):
 
 @pytest.mark.long
 def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch):
-    """Batches of 25 runs are on their way; the complete runs keep their records."""
+    """Batches of ten runs are on their way; the complete runs keep their records."""
     plans = [replace(PLANS[0], level=1 + 0.01 * number) for number in range(400)]
     records = tmp_path / "runs"
 
