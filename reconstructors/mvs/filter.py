@@ -9,7 +9,7 @@ al. 2007): more images must confirm a depth than see through it, to a surface be
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +64,8 @@ def filter_map(
 ) -> FilteredMap:
     """Return the depths that are confident, valid, and confirmed by the maps of the sources.
 
-    More sources must confirm a depth than see through it.
+    More sources must confirm a depth than see through it. A kept depth is the mean of the image's own and of the
+    confirming maps' surfaces at its pixel, so that independent errors of the maps cancel.
 
     Args:
         camera: pinhole of the map's size.
@@ -78,16 +79,20 @@ def filter_map(
         candidates &= valid
     agree = np.zeros((len(sources), *candidates.shape), dtype=np.bool_)
     seen_through = np.zeros(candidates.shape, dtype=np.uint8)
+    total = depth_map.depth.astype(np.float64)
     for k, (other, map_) in enumerate(sources):
         rows, columns = np.nonzero(candidates)
         for start in range(0, len(rows), _BLOCK_PIXELS):
             pixels = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
             confirmation = confirm(camera, depth_map, pixels, other, map_, criteria)
-            agree[k, pixels[0][confirmation.indices], pixels[1][confirmation.indices]] = True
+            confirmed = pixels[0][confirmation.indices], pixels[1][confirmation.indices]
+            agree[k][confirmed] = True
+            total[confirmed] += confirmation.depths
             seen_through[pixels[0][confirmation.seen_through], pixels[1][confirmation.seen_through]] += 1
     confirmations = agree.sum(axis=0)
     kept = candidates & (1 + confirmations >= criteria.views) & (confirmations > seen_through)
-    return FilteredMap(depth_map.where(kept), agree & kept)
+    means = (total / (1 + confirmations)).astype(np.float32)
+    return FilteredMap(replace(depth_map, depth=means).where(kept), agree & kept)
 
 
 class _Warp(NamedTuple):

@@ -38,7 +38,8 @@ def test_depths_in_other_frames_are_confirmed(normal):
     # Rounding decides whether points on the border of a frame lie in it.
     assert (agreement == (in_frames & (in_frames.sum(axis=0) >= 2))).mean() > 0.999
     assert (filtered_map.known == (in_frames.sum(axis=0) >= 2)).mean() > 0.999
-    np.testing.assert_array_equal(filtered_map.depth[filtered_map.known], maps[0].depth[filtered_map.known])
+    # Each map rounds its depths to float32.
+    np.testing.assert_allclose(filtered_map.depth[filtered_map.known], maps[0].depth[filtered_map.known], rtol=1e-6)
     assert not filtered_map.normal[~filtered_map.known].any()
     assert not filtered_map.confidence[~filtered_map.known].any()
 
@@ -53,6 +54,18 @@ def distort_left_half(depth_map, depth=1.0, turn_deg=0.0):
         np.where(left[:, None], normals, depth_map.normal).astype(np.float32),
         depth_map.confidence,
     )
+
+
+def test_kept_depths_are_means_over_the_maps_that_agree():
+    views = make_cameras()
+    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
+    filtered_map, agreement = filter_first(views, [distort_left_half(maps[0], depth=1.01), *maps[1:]])
+    confirmations = agreement.sum(axis=0)
+    left = filtered_map.known & (np.arange(filtered_map.depth.shape[1]) < filtered_map.depth.shape[1] // 2)
+    # The wrong depth meets the other maps' planes beside its pixel: on a plane that the camera faces, at the same depth.
+    expected = maps[0].depth * (1.01 + confirmations) / (1 + confirmations)
+    np.testing.assert_allclose(filtered_map.depth[left], expected[left], rtol=1e-6)
+    assert left.any() and {2, 3} <= set(confirmations[left].tolist())
 
 
 @pytest.mark.parametrize(
