@@ -62,7 +62,7 @@ def test_kept_depths_are_means_over_the_maps_that_agree():
     filtered_map, agreement = filter_first(views, [distort_left_half(maps[0], depth=1.01), *maps[1:]])
     confirmations = agreement.sum(axis=0)
     left = filtered_map.known & (np.arange(filtered_map.depth.shape[1]) < filtered_map.depth.shape[1] // 2)
-    # The wrong depth meets the other maps' planes beside its pixel: on a plane that the camera faces, at the same depth.
+    # The wrong depth meets the other maps beside its pixel: at the same depth, on a plane that the camera faces.
     expected = maps[0].depth * (1.01 + confirmations) / (1 + confirmations)
     np.testing.assert_allclose(filtered_map.depth[left], expected[left], rtol=1e-6)
     assert left.any() and {2, 3} <= set(confirmations[left].tolist())
