@@ -7,14 +7,13 @@
 #include <utility>
 #include <vector>
 
-#include <omp.h>
-
 #include "common/arrays.h"
 #include "common/forked.h"
 #include "common/interruptible.h"
 #include "mesh/mesh_module.h"
 #include "pairs/loops_module.h"
 #include "points/index.h"
+#include "points/thread_scratch.h"
 
 namespace {
 
@@ -31,23 +30,6 @@ auto to_numpy(pcbench::Block<int64_t> block, size_t count) {
     return nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>(
         data, {count}, nb::capsule(data, [](void* p) noexcept { pcbench::AlignedFree()(p); }));
 }
-
-// At least `bytes` of memory for each thread, on separate pages.
-class ThreadScratch {
-public:
-    explicit ThreadScratch(size_t bytes) {
-        const size_t stride = (bytes + 4095) / 4096 * 4096 / sizeof(double);
-        const size_t threads = static_cast<size_t>(omp_get_max_threads());
-        memory_ = pcbench::allocate<double>(stride * threads);
-        for (size_t t = 0; t < threads; ++t) threads_.push_back(memory_.get() + t * stride);
-    }
-
-    double* const* data() const { return threads_.data(); }
-
-private:
-    pcbench::Block<double> memory_;
-    std::vector<double*> threads_;
-};
 
 class PointIndex {
 public:
@@ -119,7 +101,7 @@ public:
               "knearest: expected one row per query and k columns");
         check(k > 0 && k <= tree().count, "knearest: expected k from 1 to the number of points");
         const pcbench::Kernels& kernels = pcbench::kernels();
-        const ThreadScratch scratch(kernels.knearest_scratch_bytes(k));
+        const pcbench::ThreadScratch scratch(kernels.knearest_scratch_bytes(k));
         for_query_batches(
             queries, [&](const pcbench::SortedPoints& batch, size_t offset, pcbench::Interrupt& interrupt) {
                 kernels.knearest(tree(), batch.leaves.get(), batch.leaf_count, k, distances.data() + k * offset,
@@ -160,7 +142,7 @@ public:
                 std::copy_n(tree().points + 3 * rows->data()[i], 3, selected_points.get() + 3 * i);
         }
         const pcbench::Kernels& kernels = pcbench::kernels();
-        const ThreadScratch scratch(kernels.plane_scratch_bytes(k));
+        const pcbench::ThreadScratch scratch(kernels.plane_scratch_bytes(k));
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
                 kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),

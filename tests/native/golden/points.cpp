@@ -1,12 +1,11 @@
 // The search tree: nearest points, neighbourhoods, planes through them, and cells.
-#include <omp.h>
-
 #include <algorithm>
 
 #include "golden.h"
 #include "points/cells.h"
 #include "points/index.h"
 #include "points/normals.h"
+#include "points/thread_scratch.h"
 
 namespace {
 
@@ -44,9 +43,19 @@ void golden::points() {
 
     std::vector<double> all_distances(kQueries * kNeighbors);
     std::vector<int64_t> neighbors(kQueries * kNeighbors);
-    kernels.knearest(tree, sorted.leaves.get(), sorted.leaf_count, kNeighbors, all_distances.data(), neighbors.data(),
-                     interrupt);
+    const auto search_neighbors = [&](size_t k, double* to_neighbors, int64_t* indices) {
+        const pcbench::ThreadScratch scratch(kernels.knearest_scratch_bytes(k));
+        kernels.knearest(tree, sorted.leaves.get(), sorted.leaf_count, k, to_neighbors, indices, scratch.data(),
+                         interrupt);
+    };
+    search_neighbors(kNeighbors, all_distances.data(), neighbors.data());
     Hash("knearest").add(all_distances).add(neighbors);
+    for (const size_t k : {size_t{3}, size_t{320}}) {  // by a sorted list, and by a buffer of each query
+        std::vector<double> to_neighbors(kQueries * k);
+        std::vector<int64_t> indices(kQueries * k);
+        search_neighbors(k, to_neighbors.data(), indices.data());
+        Hash(k == 3 ? "knearest_few" : "knearest_many").add(to_neighbors).add(indices);
+    }
 
     std::vector<double> normals(3 * kQueries), variation(kQueries);
     pcbench::plane_fits(cloud.data(), kCount, neighbors.data(), kQueries, kNeighbors, normals.data(), variation.data());
@@ -71,11 +80,7 @@ void golden::points() {
                              interrupt);
     });
 
-    const size_t stride = (kernels.plane_scratch_bytes(16) + 63) / 64 * 8;
-    const auto threads = static_cast<size_t>(omp_get_max_threads());
-    const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
-    std::vector<double*> scratch;
-    for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+    const pcbench::ThreadScratch scratch(kernels.plane_scratch_bytes(16));
     std::vector<double> reach(kCount);
     normals.resize(3 * kCount), variation.resize(kCount), distances.resize(kCount), rows.resize(kCount);
     kernels.planes(tree, tree.leaves, tree.leaf_count, nullptr, 16, normals.data(), variation.data(), distances.data(),
