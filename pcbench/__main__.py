@@ -1,7 +1,6 @@
 """Run the command line with `python -m pcbench`."""
 
-import sys
-
 from pcbench.cli import main
 
-sys.exit(main())
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ include the result; otherwise, it is another place. So every answer is that of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +49,7 @@ class NearPoints(NamedTuple):
         points: (N, 3) points.
         rows: (N,) their rows in the cloud, ascending.
         normals: (N, 3) their normals, if the cloud has any.
+        variation: (N,) surface variation around them, if the cloud has it.
         classes: (N,) their LAS classes, if the cloud has any.
         reach: (M,) all points that are nearer to a place than this are among them.
     """
@@ -56,6 +57,7 @@ class NearPoints(NamedTuple):
     points: FloatArray
     rows: IntArray
     normals: FloatArray | None
+    variation: FloatArray | None
     classes: NDArray[np.uint8] | None
     reach: FloatArray
 
@@ -84,6 +86,7 @@ def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
         column("points"),
         rows,
         column(cloud.normals),
+        column(cloud.variation),
         None if classes is None else classes.astype(np.uint8),
         reach,
     )
@@ -166,6 +169,7 @@ class TiledIndex(Index):
         self.points = np.zeros((0, 3))
         self.rows = np.zeros(0, np.int64)
         self.normals: FloatArray | None = np.zeros((0, 3)) if cloud.has_column(cloud.normals) else None
+        self.variation: FloatArray | None = np.zeros(0) if cloud.has_column(cloud.variation) else None
         self.classes: NDArray[np.uint8] | None = np.zeros(0, np.uint8) if cloud.has_column(CLASSES) else None
         self._order = np.zeros(0, np.int64)  # numbers in the order of rows
         self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
@@ -234,7 +238,7 @@ class TiledIndex(Index):
 
     def numbers_of(self, points: FloatArray, rows: IntArray, classes: NDArray[np.uint8] | None) -> IntArray:
         """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
-        self._add(NearPoints(points, rows, None, classes, np.zeros(0)))
+        self._add([NearPoints(points, rows, None, None, classes, np.zeros(0))])
         return self._order[np.searchsorted(self.rows[self._order], rows)]
 
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
@@ -292,31 +296,41 @@ class TiledIndex(Index):
         self._searches += 1
         stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}"
         results = self._runner.run(stage, near_points, tasks, key=key, title="searching the surroundings of a sample")
-        reach = []
-        for _, near in results:
-            self._add(near)
-            reach.append(near.reach)
+        near = [found for _, found in results]
+        self._add(near)
         self._centers = np.concatenate([self._centers, places[order]])
-        self._reach = np.concatenate([self._reach, *reach])
+        self._reach = np.concatenate([self._reach, *(found.reach for found in near)])
         self._center_index = Index(self._centers)
 
-    def _add(self, near: NearPoints) -> None:
-        """Append the points that are not in memory, and keep the normals of those that are."""
+    def _add(self, near: Sequence[NearPoints]) -> None:
+        """Append the points that are not in memory, and keep the normals and the variation of those that are."""
+        rows, first = np.unique(np.concatenate([part.rows for part in near]), return_index=True)
+
+        def column(name: str) -> NDArray[Any] | None:
+            parts = [getattr(part, name) for part in near]
+            return None if any(part is None for part in parts) else np.concatenate(parts)[first]
+
         sorted_rows = self.rows[self._order]
-        positions = np.minimum(np.searchsorted(sorted_rows, near.rows), max(len(sorted_rows) - 1, 0))
-        is_loaded = sorted_rows[positions] == near.rows if len(sorted_rows) else np.zeros(len(near.rows), bool)
-        if self.normals is not None and near.normals is not None:
-            self.normals[self._order[positions[is_loaded]]] = near.normals[is_loaded]
-        new = np.flatnonzero(~is_loaded)
+        positions = np.minimum(np.searchsorted(sorted_rows, rows), max(len(sorted_rows) - 1, 0))
+        is_loaded = sorted_rows[positions] == rows if len(sorted_rows) else np.zeros(len(rows), bool)
+        loaded, new = self._order[positions[is_loaded]], np.flatnonzero(~is_loaded)
+        for name in ("normals", "variation"):
+            kept, values = getattr(self, name), column(name)
+            if kept is None:
+                continue
+            if values is None:
+                values = np.full((len(rows), *kept.shape[1:]), np.nan)
+            else:
+                kept[loaded] = values[is_loaded]
+            setattr(self, name, np.concatenate([kept, values[new]]))
+        if self.classes is not None and (classes := column("classes")) is not None:
+            self.classes = np.concatenate([self.classes, classes[new]])
         if not len(new):
             return
-        self.points = np.concatenate([self.points, near.points[new]])
-        self.rows = np.concatenate([self.rows, near.rows[new]])
-        if self.normals is not None:
-            normals = np.full((len(new), 3), np.nan) if near.normals is None else near.normals[new]
-            self.normals = np.concatenate([self.normals, normals])
-        if self.classes is not None and near.classes is not None:
-            self.classes = np.concatenate([self.classes, near.classes[new]])
+        points = column("points")
+        assert points is not None
+        self.points = np.concatenate([self.points, points[new]])
+        self.rows = np.concatenate([self.rows, rows[new]])
         self._order = np.argsort(self.rows, kind="stable")
         self.__dict__.pop("_tree_index", None)
 
@@ -339,7 +353,8 @@ class TiledSurface(Surface):
         self._positions, self._is_even = k, False
         self._is_complete = index.normals is not None
         self._fitted = np.zeros(0, bool)
-        self._directions, self._variations = np.zeros((0, 3)), np.zeros(0, np.float32)
+        # Of fitted planes, with the precision of those in memory.
+        self._fits: dict[str, NDArray[Any]] = {"normals": np.zeros((0, 3)), "variation": np.zeros(0, np.float32)}
 
     @cached_property
     def sampling(self) -> Sampling:
@@ -348,22 +363,26 @@ class TiledSurface(Surface):
 
     def normals(self, rows: IntArray) -> FloatArray:
         """Return unit normals (M, 3) at the points with these numbers (M,): those of the cloud, or estimated ones."""
-        if self.index.normals is None:
-            self._fit(rows)
-            return self._directions[rows]
-        normals = self.index.normals[rows]
-        if (unknown := np.isnan(normals[:, 0])).any():  # only the points themselves are in memory
-            self.index.query(self.index.points[rows[unknown]])
-            normals = self.index.normals[rows]
-            if (unknown := np.isnan(normals[:, 0])).any():  # too many points have the same position
-                self._fit(rows[unknown])
-                normals[unknown] = self._directions[rows[unknown]]
-        return normals
+        return self._stored_or_fitted("normals", rows)
 
     def variation(self, rows: IntArray) -> FloatArray:
         """Return surface variation (M,) at the points with these numbers (M,)."""
-        self._fit(rows)
-        return self._variations[rows].astype(np.float64)
+        return self._stored_or_fitted("variation", rows).astype(np.float64)
+
+    def _stored_or_fitted(self, name: str, rows: IntArray) -> FloatArray:
+        """Return a column of the cloud at the points with these numbers (M,), or its values from planes fitted here."""
+        if getattr(self.index, name) is None:
+            self._fit(rows)
+            fitted: FloatArray = self._fits[name][rows]
+            return fitted
+        values: FloatArray = getattr(self.index, name)[rows]
+        if (unknown := np.isnan(values.reshape(len(rows), -1)[:, 0])).any():  # only the points are in memory
+            self.index.query(self.index.points[rows[unknown]])
+            values = getattr(self.index, name)[rows]
+            if (unknown := np.isnan(values.reshape(len(rows), -1)[:, 0])).any():  # too many points at one position
+                self._fit(rows[unknown])
+                values[unknown] = self._fits[name][rows[unknown]]
+        return values
 
     def first_in_cells(self, side: float) -> IntArray:
         """Return the numbers of the first point in each occupied cell of an edge length."""
@@ -373,10 +392,10 @@ class TiledSurface(Surface):
         """Fit planes at the points with these numbers (M,) unless they are known."""
         more = len(self.index.points) - len(self._fitted)
         self._fitted = np.append(self._fitted, np.zeros(more, bool))
-        self._directions = np.concatenate([self._directions, np.full((more, 3), np.nan)])
-        self._variations = np.append(self._variations, np.full(more, np.nan, np.float32))
+        for name, values in self._fits.items():
+            self._fits[name] = np.concatenate([values, np.full((more, *values.shape[1:]), np.nan, values.dtype)])
         missing = np.unique(rows[~self._fitted[rows]])
         if len(missing):
             planes = self.index.local_planes(self.k, missing)
-            self._directions[missing], self._variations[missing] = planes.normals, planes.variation
+            self._fits["normals"][missing], self._fits["variation"][missing] = planes.normals, planes.variation
             self._fitted[missing] = True

@@ -15,7 +15,7 @@ from pcbench.geometry.sampling import COINCIDENT_NEIGHBORS, PROFILE_NEIGHBORS, p
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
-from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TiledCloud
+from pcbench.measure.tiled.tiles import NORMALS, VARIATIONS, WIDE_NORMALS, TiledCloud
 from pcbench.tasks.results import read_shared
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
@@ -25,12 +25,12 @@ _SEARCHED_AT_ONCE = 50_000  # points whose neighbours are searched in tiles
 
 
 def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
-    """Store the columns `normals` (N, 3), `spacings` and `profile` of a tile.
+    """Store the columns `normals` (N, 3), `variation`, `spacings` and `profile` of a tile.
 
     Normals are those given with the cloud; where there are none, they are estimated from the k nearest points, see
-    `pcbench.geometry.normals`. Spacings (M,) are the distances to the nearest point at another position, without those
-    of points that occur more than seven times. The profile (P, K) has the distances of some points to K neighbours, see
-    `pcbench.geometry.sampling`.
+    `pcbench.geometry.normals`. The surface variation (N,) is that of these points. Spacings (M,) are the distances to
+    the nearest point at another position, without those of points that occur more than seven times. The profile (P, K)
+    has the distances of some points to K neighbours, see `pcbench.geometry.sampling`.
 
     Args:
         file: the shared `TiledCloud` of the cloud, with at least k points.
@@ -44,9 +44,10 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
     around = _Surroundings.of(cloud, number, k)
-    distances, directions = _local_planes(cloud, number, points, around, k)
-    _save_normals(cloud, number, NORMALS, directions)
+    planes = _local_planes(cloud, number, points, around, k)
+    _save_planes(cloud, number, NORMALS, planes)
     save_column(cloud.folder, number, "profile", _profile(cloud, number, points, around))
+    distances = planes.spacings
     coincident = np.flatnonzero(distances == 0)
     for start in range(0, len(coincident), _SEARCHED_AT_ONCE):
         some = coincident[start : start + _SEARCHED_AT_ONCE]
@@ -58,14 +59,30 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
 
 
 def add_wide_normals(file: Path, key: str, number: int, k: int) -> None:
-    """Store the column `wide_normals` (N, 3) of a tile: normals as from `add_normals`, with another number k."""
+    """Store the columns `wide_normals` and `wide_variation` of a tile: as `add_normals` does, with another number k."""
     cloud = read_shared(file, key, TiledCloud)
     points, around = cloud.load(number, "points"), _Surroundings.of(cloud, number, k)
-    _save_normals(cloud, number, WIDE_NORMALS, _local_planes(cloud, number, points, around, k)[1])
+    _save_planes(cloud, number, WIDE_NORMALS, _local_planes(cloud, number, points, around, k))
 
 
-def _save_normals(cloud: TiledCloud, number: int, column: str, directions: FloatArray) -> None:
-    """Store estimated normals (N, 3) of a tile, or those given with the cloud where there are any."""
+class _Planes(NamedTuple):
+    """Planes through the k nearest points of each point.
+
+    Attributes:
+        spacings: (N,) distance to the nearest other point.
+        normals: (N, 3).
+        variation: (N,) surface variation.
+    """
+
+    spacings: FloatArray
+    normals: FloatArray
+    variation: FloatArray
+
+
+def _save_planes(cloud: TiledCloud, number: int, column: str, planes: _Planes) -> None:
+    """Store the surface variation of a tile, and its normals: those given with the cloud where there are any."""
+    save_column(cloud.folder, number, VARIATIONS[column], planes.variation.astype(np.float32))  # as in memory
+    directions = planes.normals
     if cloud.file(number, "given_normals").exists():
         given = cloud.load(number, "given_normals")
         directions = np.where(np.isnan(given[:, :1]), directions, given)
@@ -90,23 +107,22 @@ class _Surroundings(NamedTuple):
         return cls(Index(points) if len(points) >= k else None, rows, low, high)
 
 
-def _local_planes(
-    cloud: TiledCloud, number: int, points: FloatArray, around: _Surroundings, k: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return the distance (N,) of each point to the nearest other one, and the normal (N, 3) of k nearest points."""
-    distances, normals = np.empty(len(points)), np.empty((len(points), 3))
+def _local_planes(cloud: TiledCloud, number: int, points: FloatArray, around: _Surroundings, k: int) -> _Planes:
+    """Return the planes of the points (N, 3) of a tile."""
+    local = _Planes(np.empty(len(points)), np.empty((len(points), 3)), np.empty(len(points)))
     certain = np.zeros(len(points), bool)
     if around.points is not None:
         planes = around.points.local_planes(k)
         own = np.searchsorted(around.rows, cloud.open(number, "rows"))
-        reach, distances = planes.reach[own], planes.nearest_other.distances[own]
-        normals = planes.normals.take(own, axis=0)
-        certain = reach < _distance_to_border(points, around.low, around.high)
+        local = _Planes(planes.nearest_other.distances[own], planes.normals.take(own, axis=0), planes.variation[own])
+        certain = planes.reach[own] < _distance_to_border(points, around.low, around.high)
     rest = np.flatnonzero(~certain)
     for start in range(0, len(rest), _SEARCHED_AT_ONCE):
         some = rest[start : start + _SEARCHED_AT_ONCE]
-        distances[some], normals[some] = _searched_planes(cloud, points[some], cloud.open(number, "rows")[some], k)
-    return distances, normals
+        searched = _searched_planes(cloud, points[some], cloud.open(number, "rows")[some], k)
+        for values, rest_values in zip(local, searched, strict=True):
+            values[some] = rest_values
+    return local
 
 
 def _profile(cloud: TiledCloud, number: int, points: FloatArray, around: _Surroundings) -> FloatArray:
@@ -122,13 +138,14 @@ def _profile(cloud: TiledCloud, number: int, points: FloatArray, around: _Surrou
     return distances[:, 1:]
 
 
-def _searched_planes(cloud: TiledCloud, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return the same for points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
+def _searched_planes(cloud: TiledCloud, points: FloatArray, rows: IntArray, k: int) -> _Planes:
+    """Return the planes of points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
     matches = nearest_in_tiles(points, cloud, k)
     # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
     every, first = np.unique(np.concatenate([rows, matches.rows.ravel()]), return_index=True)
     near = np.concatenate([points, matches.column(cloud, "points").reshape(-1, 3)])[first]
-    return matches.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
+    planes = Index(near).local_planes(k, np.searchsorted(every, rows))
+    return _Planes(matches.distances[:, 1], planes.normals, planes.variation)
 
 
 def _halo_width(cloud: TiledCloud, number: int, k: int) -> float:

@@ -189,23 +189,25 @@ class CloudRuns:
         return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
     def _slices(self, run: StoredRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        for low, high in ranges:
-            if not run.overlaps((low, high)):
-                continue
-            start, stop = self._position(run, low), self._position(run, high)
+        overlapping = [each for each in ranges if run.overlaps(each)]
+        if not overlapping:
+            return
+        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")
+        for ends in overlapping:
+            start, stop = (self._position(run, points, code) for code in ends)
             if start < stop:
                 yield start, stop
 
-    def _position(self, run: StoredRun, code: int) -> int:
-        """Return the number of points of a run with smaller codes."""
+    def _position(self, run: StoredRun, points: FloatArray, code: int) -> int:
+        """Return the number of points (N, 3) of a run with smaller codes."""
         if code >= 1 << CODE_BITS:
             return run.count
         position = int(np.searchsorted(run.codes, np.uint64(code)))
         if position == 0 or run.stride == 1:
             return position
         start = (position - 1) * run.stride
-        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : position * run.stride]
-        return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
+        codes = self.lattice.codes(points[start : position * run.stride])
+        return start + int(np.searchsorted(codes, np.uint64(code)))
 
 
 def _read_slices(file: Path, slices: Sequence[tuple[int, int]]) -> list[NDArray[Any]]:

@@ -25,6 +25,8 @@ CLASSES = "classes"
 """Column of LAS classes."""
 WIDE_NORMALS = "wide_normals"
 """Column of normals from more neighbours, of points that have copies or lie in lines."""
+VARIATIONS = {NORMALS: "variation", WIDE_NORMALS: "wide_variation"}
+"""Columns of the surface variation, by those of the normals from the same neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,11 @@ class TiledCloud:
         """Lowest and highest corner (2, 3) of all points."""
         occupied = self.occupied
         return np.stack([self.low[occupied].min(axis=0), self.high[occupied].max(axis=0)])
+
+    @property
+    def variation(self) -> str:
+        """Name of the column of the surface variation, from the neighbours of the normals."""
+        return VARIATIONS.get(self.normals, "")
 
     def has_column(self, name: str) -> bool:
         """Return whether all tiles with points have a column."""

@@ -16,18 +16,19 @@ from pcbench.tasks.results import write_result
 
 
 def computed(folder, points, most, k, given_normals=None):
-    """Normals (N, 3) and the sampling of a cloud in tiles."""
+    """Normals (N, 3), surface variation (N,) and the sampling of a cloud in tiles."""
     tiles = stored_tiles(folder, points, most, piece_points=max(1, len(points) // 3), normals=given_normals)
     write_result(folder / "shared", str(folder), tiles)
-    found, spacings, profile = np.full((len(points), 3), 7.0), [], []
+    found, variation, spacings, profile = np.full((len(points), 3), 7.0), np.full(len(points), 7.0), [], []
     for number in tiles.occupied:
         histogram = add_normals(folder / "shared", str(folder), number, k)
         spacings.append(tiles.load(number, "spacings"))
         assert histogram.count == len(spacings[-1])
         profile.append(tiles.load(number, "profile"))
-        found[tiles.load(number, "rows")] = tiles.load(number, "normals")
+        rows = tiles.load(number, "rows")
+        found[rows], variation[rows] = tiles.load(number, "normals"), tiles.load(number, "variation")
     nearest = np.median(np.concatenate(spacings)) if any(map(len, spacings)) else 0.0
-    return found, sampling_of_profile(nearest, np.concatenate(profile), len(points))
+    return found, variation, sampling_of_profile(nearest, np.concatenate(profile), len(points))
 
 
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.generate])
@@ -48,9 +49,10 @@ def test_normals_and_spacings_are_those_in_memory(tmp_path_factory, seed, count,
         given_normals = rng.integers(-9, 9, points.shape).astype(float)  # files have float32
         given_normals[rng.random(len(points)) < 0.3] = 0
     k = min(20, len(points))
-    found, sampling = computed(tmp_path_factory.mktemp("normals"), points, most, k, given_normals)
-    expected = Surface(Index(points), k, given_normals).compute_normals(None)
-    np.testing.assert_array_equal(found, expected)
+    found, variation, sampling = computed(tmp_path_factory.mktemp("normals"), points, most, k, given_normals)
+    surface = Surface(Index(points), k, given_normals)
+    np.testing.assert_array_equal(found, surface.compute_normals(None))
+    np.testing.assert_array_equal(variation, surface.variation(np.arange(len(points))))
     index = Index(points)
     assert sampling == sampling_of(index, index.nearest_other())
 
@@ -63,13 +65,15 @@ def test_wide_normals_are_those_in_memory(tmp_path):
     assert surface.k > 50
     for number in tiles.occupied:
         add_wide_normals(tmp_path / "shared", "key", number, surface.k)
-        found[tiles.load(number, "rows")] = tiles.load(number, "wide_normals")
+        rows = tiles.load(number, "rows")
+        found[rows] = tiles.load(number, "wide_normals")
+        np.testing.assert_array_equal(tiles.load(number, "wide_variation"), surface.variation(rows))
     np.testing.assert_array_equal(found, surface.compute_normals(None))
 
 
 def test_tiles_of_one_point_have_normals(tmp_path):
     points = np.random.default_rng(0).random((6, 3))
-    found, _ = computed(tmp_path, points, 1, 6)
+    found, *_ = computed(tmp_path, points, 1, 6)
     np.testing.assert_array_equal(found, Surface(Index(points), 6).compute_normals(None))
 
 
@@ -94,6 +98,6 @@ def test_strewn_points_do_not_read_the_whole_cloud(tmp_path, read_around):
     dense = rng.random((60_000, 3)) * [10, 10, 0.01]
     strewn = rng.random((30, 3)) * [1000, 1000, 100]
     points = np.concatenate([dense, strewn])
-    found, _ = computed(tmp_path, points, 2000, 20)
+    found, *_ = computed(tmp_path, points, 2000, 20)
     np.testing.assert_array_equal(found, Surface(Index(points), 20).compute_normals(None))
     assert max(read_around) < 25_000
