@@ -84,3 +84,6 @@ def test_site_loads_nothing_from_other_hosts(tmp_path):
     assert process.returncode == 0, process.stdout + process.stderr
     assert len(list(tmp_path.rglob("*.html"))) > 20
     assert check_site(tmp_path).returncode == 0
+    for page in sorted((tmp_path / "reference").rglob("*.html")):
+        article = re.search("<article.*?</article>", page.read_text(), re.DOTALL)[0]
+        assert len(re.sub("<[^>]+>", " ", article).split()) <= 5000, f"{page.parent.name}: split docs/reference"
