@@ -28,6 +28,9 @@ LONG_PAGES = {
         *("tradeoff", "views"),
     )
 } | {"docs/reconstructors.md", "docs/tutorial.md"}
+LONG_PAGES |= {
+    f"docs/tutorials/{name}.md" for name in ("developer", "photogrammetrist", "researcher", "robotics", "surveyor")
+}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SHELL_COMMANDS = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 

@@ -14,15 +14,23 @@ INTERNAL = {"cli", "native", "children"}  # packages that programs do not import
 
 
 def test_every_exported_name_is_in_the_reference():
-    page = (ROOT / "docs" / "reference" / "index.md").read_text()
-    documented = re.findall(r"^        - (\w+)$", page, re.MULTILINE)
+    pages = (ROOT / "docs" / "reference").glob("pcbench-*.md")
+    documented = [name for page in pages for name in re.findall(r"^        - (\w+)$", page.read_text(), re.MULTILINE)]
     assert sorted(documented) == sorted(set(pcbench.__all__) - {"__version__"})
 
 
-def test_every_package_has_a_reference_page():
-    packages = {folder.parent.name for folder in (ROOT / "pcbench").glob("*/__init__.py")} - INTERNAL
-    pages = {page.stem for page in (ROOT / "docs" / "reference").glob("*.md")}
-    assert packages <= pages
+def test_every_module_is_on_one_reference_page():
+    """A page names a module or its package; `mkdocs.yml` hides modules that run in child processes."""
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    listed = [name for page in pages for name in re.findall(r"^::: (\S+)", page.read_text(), re.MULTILINE)]
+    for file in sorted((ROOT / "pcbench").rglob("*.py")):
+        module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+        package = module.split(".")[1]
+        if file.stem.startswith("_") or package in INTERNAL or re.search("(_child|worker)$", file.stem):
+            continue
+        levels = [module.rsplit(".", depth)[0] for depth in range(module.count(".") - 1)]  # without pcbench.PACKAGE
+        if (ROOT / "pcbench" / package).is_dir():
+            assert sum(map(listed.count, levels or [module])) == 1, module
 
 
 def check_site(site):
@@ -37,7 +45,7 @@ def check_site(site):
         ("<link rel=stylesheet href=//fonts.example/b.css>", "//fonts.example/b.css"),
         ('<img alt="c" src="http://c.example/c.png">', "http://c.example/c.png"),
         ("<style>body { background: url('https://d.example/d.png') }</style>", "https://d.example/d.png"),
-        ('<a href="https://e.example/">a link to follow</a> <img src="f.png">', None),
+        ('<a href="https://e.example/">a link to follow</a> <img src="page.html">', None),
     ],
 )
 def test_resources_of_other_hosts_are_found(tmp_path, text, address):
@@ -45,6 +53,18 @@ def test_resources_of_other_hosts_are_found(tmp_path, text, address):
     process = check_site(tmp_path)
     assert process.returncode == (0 if address is None else 1)
     assert address is None or f"page.html: fetches {address}" in process.stderr
+
+
+def test_links_that_end_nowhere_are_found(tmp_path):
+    (tmp_path / "page").mkdir()
+    (tmp_path / "index.html").write_text('<h2 id="a">A</h2> <a href="page/#b">b</a> <a href="https://e.example/">e</a>')
+    page = tmp_path / "page" / "index.html"
+    page.write_text('<h2 id="b">B</h2> <a href="../#a">a</a> <a href="#b">b</a> <a href=..>home</a>')
+    assert check_site(tmp_path).returncode == 0
+    page.write_text('<a href="../#b">b</a> <a href="docs/architecture.md">c</a> <img src="d.png">')
+    found = [line.rpartition(": ")[2] for line in check_site(tmp_path).stderr.splitlines()]
+    addresses = ["page/#b", "../#b", "docs/architecture.md", "d.png"]  # without its heading, the page lacks #b too
+    assert found == [f"{address} ends nowhere" for address in addresses]
 
 
 def test_empty_site_is_an_error(tmp_path):
@@ -64,3 +84,6 @@ def test_site_loads_nothing_from_other_hosts(tmp_path):
     assert process.returncode == 0, process.stdout + process.stderr
     assert len(list(tmp_path.rglob("*.html"))) > 20
     assert check_site(tmp_path).returncode == 0
+    for page in sorted((tmp_path / "reference").rglob("*.html")):
+        article = re.search("<article.*?</article>", page.read_text(), re.DOTALL)[0]
+        assert len(re.sub("<[^>]+>", " ", article).split()) <= 5000, f"{page.parent.name}: split docs/reference"

@@ -1,0 +1,34 @@
+"""Hooks of mkdocs: included files of the repository, printed answers that wrap, and what the search puts first."""
+
+import re
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+_ROOT = Path(__file__).resolve().parent.parent
+_INCLUDE = re.compile(r"^--8<-- \"(?P<file>[^\"]+)\"$", re.MULTILINE)
+_ANSWER = re.compile(r'(<div class="language-(?:console|text) highlight">.*?<code>)(.*?)(</code>)', re.DOTALL)
+_COLUMNS = re.compile(r"\S {2,}\S")
+_REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what explains a term comes before its names
+
+
+def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
+    """Include the files that the page names by `--8<-- "FILE"`; their links start at the root of the repository."""
+    if page.file.src_uri.startswith("reference/"):
+        page.meta.setdefault("search", {}).setdefault("boost", _REFERENCE_BOOST)
+    return _INCLUDE.sub(lambda include: included_text((_ROOT / include["file"]).read_text()), markdown)
+
+
+def on_page_content(html: str, **kwargs: Any) -> str:
+    """Mark the rows of printed tables in console blocks, which style.css keeps on one line; sentences wrap."""
+    return _ANSWER.sub(lambda block: block[1] + "\n".join(map(_marked, block[2].split("\n"))) + block[3], html)
+
+
+def included_text(text: str) -> str:
+    """Return a file of the root for a page in `docs/`: `docs/architecture.md` becomes `architecture.md`."""
+    return text.replace("](docs/", "](")
+
+
+def _marked(line: str) -> str:
+    text = unescape(re.sub(r"<[^>]+>", "", line))
+    return f'<span class="row">{line}</span>' if _COLUMNS.search(text) else line
