@@ -62,14 +62,10 @@ def prepare(root: Path, version: str, date: datetime.date) -> None:
         if _numbers(version) <= _numbers(line[1]):
             raise ValueError(f"{name} has version {line[1]} already")
         texts[name] = texts[name].replace(line[0], f'{start}{version}"', 1)
-    heading, news = (
-        "## Unreleased\n",
-        re.search(r"^## Unreleased\n(.*?)(?=^## |\Z)", texts["CHANGELOG.md"], re.M | re.S),
-    )
-    if news is None or not news[1].strip():
+    before, heading, after = texts["CHANGELOG.md"].partition("## Unreleased\n")
+    if not after.partition("\n## ")[0].strip():
         raise ValueError("the changelog has nothing under Unreleased")
-    dated = f"{heading}\n## {version} ({date.isoformat()})\n"
-    texts["CHANGELOG.md"] = texts["CHANGELOG.md"].replace(heading, dated, 1)
+    texts["CHANGELOG.md"] = f"{before}{heading}\n## {version} ({date.isoformat()})\n{after}"
     for name, text in texts.items():
         (root / name).write_text(text)
 
