@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery notebooks wording pictures clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel wheels sdist release bench instructions stale gallery notebooks wording pictures clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -50,7 +50,21 @@ wheel: $(VENV)/.all
 	rm -rf dist build/dist
 	$(BIN)/python -m build --wheel --outdir build/dist . >/dev/null
 	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/auditwheel repair --wheel-dir dist build/dist/*.whl
-	PCBENCH_WHEEL="$$(echo dist/*.whl)" $(BIN)/python -m pytest tests/test_wheel.py
+	PCBENCH_WHEELS="$$(echo dist/*.whl)" $(BIN)/python -m pytest tests/test_wheel.py
+
+# Build wheels for all versions of Python, also for ARM, and test them with the lowest and highest dependencies. It uses
+# the commands python3.11 to python3.14 that exist; pyenv has several with PYENV_VERSION=3.11.7:3.12.1.
+wheels: $(VENV)/.all
+	$(BIN)/python packaging/wheels.py
+
+# Build the source distribution in dist/. Where scikit-build-core and nanobind are installed, `python -m build --sdist
+# --no-isolation` and `pip install --no-index --no-build-isolation` from it need no network.
+sdist: $(VENV)/.all
+	$(BIN)/python -m build --sdist --outdir dist .
+
+# Prepare a release, `make release VERSION=0.2.0`: version, changelog, sdist, wheels, site, tag, and a list of the rest.
+release: $(VENV)/.all
+	$(BIN)/python packaging/release.py '$(VERSION)'
 
 # Check that the kernels give the same bits on this processor and, if Debian's g++-aarch64-linux-gnu and qemu-user are
 # installed, on ARM.

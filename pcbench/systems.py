@@ -1,7 +1,7 @@
 """Differences between operating systems: file locks, memory, CPUs, and waiting for and ending processes.
 
 No other module of the package imports `fcntl` or `resource`, or uses names of `os` and `signal` that only some systems
-have. The exceptions are `children/start.py` and `io/laz_worker.py`, which child processes run without pcbench.
+have. The exception is `children/start.py`, which runs in child processes without pcbench.
 """
 
 from __future__ import annotations

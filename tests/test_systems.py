@@ -15,12 +15,16 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 
 # Modules and names of `os` and `signal` that the system lacks, and its value of `sys.platform`.
-_MACOS = ("os.sched_getaffinity os.sched_setaffinity os.waitid os.P_PID os.WNOWAIT", "darwin")
+_MACOS = (
+    "os.sched_getaffinity os.sched_setaffinity os.waitid os.P_PID os.WNOWAIT os.posix_fadvise os.posix_fallocate",
+    "darwin",
+)
 _WINDOWS = (
     "fcntl resource termios pwd grp os.fork os.setsid os.killpg os.waitid os.wait os.wait4 os.P_PID os.WNOWAIT "
     "os.WNOHANG os.WEXITED os.geteuid os.getuid os.sched_getaffinity os.sched_setaffinity os.register_at_fork "
-    "os.uname os.sysconf os.O_DIRECTORY os.O_NOFOLLOW os.O_NONBLOCK signal.SIGKILL signal.SIGHUP signal.SIGALRM "
-    "signal.setitimer",
+    "os.uname os.sysconf os.pread os.preadv os.pwrite os.pwritev os.posix_fadvise os.posix_fallocate os.sendfile "
+    "os.mkfifo os.fchown os.statvfs os.getpgid os.getloadavg os.O_DIRECTORY os.O_NOFOLLOW os.O_NONBLOCK "
+    "signal.SIGKILL signal.SIGHUP signal.SIGALRM signal.setitimer",
     "win32",
 )
 

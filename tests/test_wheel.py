@@ -1,8 +1,7 @@
-"""Contents of the wheel for distribution; `make wheel` builds and repairs one, and runs these tests."""
+"""Contents of wheels for distribution; `make wheel` and `make wheels` build and repair them, and run these tests."""
 
 import os
 import subprocess
-import sysconfig
 import zipfile
 from pathlib import Path, PurePosixPath
 
@@ -19,20 +18,28 @@ MODULES = {
 }
 
 
-@pytest.fixture(scope="module")
-def wheel():
-    path = os.environ.get("PCBENCH_WHEEL")
-    if not path:
-        pytest.skip("needs a wheel: `make wheel`")
-    with zipfile.ZipFile(ROOT / path) as archive:
+WHEELS = os.environ.get("PCBENCH_WHEELS", "").split()
+
+pytestmark = pytest.mark.skipif(not WHEELS, reason="needs wheels: `make wheel`")
+
+
+@pytest.fixture(scope="module", params=WHEELS)
+def wheel(request):
+    with zipfile.ZipFile(ROOT / request.param) as archive:
         yield archive
 
 
+def tags(wheel):
+    """Return the tags of a wheel's name: Python version, binary interface, and systems."""
+    _, _, python, abi, systems = Path(wheel.filename).stem.split("-")
+    return python, abi, systems.split(".")
+
+
 def test_name(wheel):
-    """The file name states the C library and this Python version."""
-    _, _, python, abi, system = Path(wheel.filename).stem.split("-")
-    assert python == abi == "cp" + sysconfig.get_config_var("py_version_nodot")
-    assert all(tag.startswith("manylinux") for tag in system.split("."))
+    """The file name states the C library, and Python 3.11 or the stable binary interface of later versions."""
+    python, abi, systems = tags(wheel)
+    assert (python, abi) in (("cp311", "cp311"), ("cp312", "abi3"))
+    assert all(system.startswith("manylinux") for system in systems)
 
 
 def test_contents(wheel):
@@ -45,7 +52,10 @@ def test_contents(wheel):
     sources = {
         name for name in tracked_files if PurePosixPath(name).suffix not in (".cpp", ".h") or name in RUN_TIME_HEADERS
     }
-    modules = {module + sysconfig.get_config_var("EXT_SUFFIX") for module in MODULES}
+    _, abi, systems = tags(wheel)
+    processor = "aarch64" if systems[0].endswith("aarch64") else "x86_64"
+    suffix = "abi3" if abi == "abi3" else f"cpython-{abi.removeprefix('cp')}-{processor}-linux-gnu"
+    modules = {f"{module}.{suffix}.so" for module in MODULES}
     other_names = names - sources - modules
     assert sources - names == set()
     assert modules - names == set()

@@ -435,6 +435,20 @@ def test_lazrs_that_cannot_be_imported(tmp_path, monkeypatch):
         read_cloud(tmp_path / "a.laz")
 
 
+def test_decompressor_runs_on_windows(tmp_path, monkeypatch):
+    """The decompressor uses no module and no function of `os` that Windows lacks."""
+    skip_without_lazrs()
+    worker = tmp_path / "worker.py"
+    worker.write_text(
+        "import os, sys\n"
+        "for name in ('fcntl', 'resource', 'posix'):\n    sys.modules[name] = None\n"
+        "for name in ('pread', 'preadv', 'fork', 'posix_fadvise', 'sched_getaffinity', 'sendfile'):\n"
+        "    delattr(os, name)\n" + Path(laz._WORKER).read_text()
+    )
+    monkeypatch.setattr(laz, "_WORKER", str(worker))
+    assert len(read(tmp_path, las(0, 10, compress="chunks"))) == 10
+
+
 def test_laz_is_read_from_any_script(tmp_path):
     """LAZ can be read by a script without a main guard, in a folder with modules of conflicting names."""
     skip_without_lazrs()
