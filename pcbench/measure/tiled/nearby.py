@@ -296,10 +296,10 @@ class TiledIndex(Index):
         self._searches += 1
         stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}"
         results = self._runner.run(stage, near_points, tasks, key=key, title="searching the surroundings of a sample")
-        near = [found for _, found in results]
+        near = [part for _, part in results]
         self._add(near)
         self._centers = np.concatenate([self._centers, places[order]])
-        self._reach = np.concatenate([self._reach, *(found.reach for found in near)])
+        self._reach = np.concatenate([self._reach, *(part.reach for part in near)])
         self._center_index = Index(self._centers)
 
     def _add(self, near: Sequence[NearPoints]) -> None:
