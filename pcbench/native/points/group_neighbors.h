@@ -223,7 +223,7 @@ private:
     // On cities and scan lines, 5 to 10 % of the groups have neighbours beyond this multiple and are searched again.
     static constexpr double kGrowth = 1.6;
 
-    Box before_;
+    Box before_{};
     double farthest_ = 0.0;
 };
 
