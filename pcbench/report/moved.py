@@ -13,6 +13,7 @@ from pcbench.report.words import interval_text, length, length_number, rounding_
 
 MIN_VERTICAL_SHARE = 0.9
 """Share of a motion that is vertical, from which it is called up or down."""
+_ROUNDING_SHARE = 1e-9  # of a motion, up to which a component and the half width of its interval are rounding
 
 
 def is_offset(comparison: FinishedComparison, candidate: Candidate) -> bool:
@@ -46,7 +47,8 @@ def place_sentence(comparison: FinishedComparison, candidate: Candidate, name: s
 def motion_clause(registration: Registration, motion: RemovedMotion, name: str, unit: str | None) -> str:
     """Return how far registration moved a candidate, with 95 % confidence intervals of each component."""
     parts = ", ".join(
-        f"{axis} {shift:+.3g}{'' if np.isinf(sigma) else f' ± {1.96 * sigma:.2g}'}"
+        f"{axis} {_beyond_rounding(shift, motion):+.3g}"
+        + ("" if np.isinf(sigma) else f" ± {_beyond_rounding(1.96 * sigma, motion):.2g}")
         for axis, shift, sigma in zip("xyz", motion.shift, motion.shift_sigma, strict=True)
     )
     turn = ""
@@ -56,8 +58,13 @@ def motion_clause(registration: Registration, motion: RemovedMotion, name: str, 
     subject = "Registration" if registration.converged is not None else "The pose"
     if motion.size == 0:
         return f"{subject} did not shift {name} significantly ({parts}){turn}"
-    size = with_unit(f"{length_number(motion.size)} ± {motion.half_width:.2g}", unit)
+    size = with_unit(f"{length_number(motion.size)} ± {_beyond_rounding(motion.half_width, motion):.2g}", unit)
     return f"{subject} moved {name} by {size} ({parts}){turn}"
+
+
+def _beyond_rounding(value: float, motion: RemovedMotion) -> float:
+    """Return a component of a motion, or the half width of its interval; 0 if it is rounding."""
+    return value if abs(value) > _ROUNDING_SHARE * motion.size else 0.0
 
 
 def _given_clause(registration: Registration, motion: RemovedMotion, unit: str | None) -> str:

@@ -44,7 +44,7 @@ def main_rows(comparison: FinishedComparison) -> list[Line]:
     reference_points = f"{comparison.reference.points_in_region:,}"
     rows = [
         facts("points measured", (f"{c.points_in_region:,}" for c in candidates), reference_points),
-        facts("registration RMSE", (number(c.registration.rmse) for c in candidates)),
+        facts("registration RMSE", (_beyond_rounding(c.registration.rmse, least) for c in candidates)),
         facts("overlap", (f"{c.registration.overlap:.1%}" for c in candidates)),
     ]
     for headline, quantities in headline_lines(comparison):
@@ -77,12 +77,19 @@ def _rank(headline: Headline) -> int | None:
 
 
 def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
-    """Return the cell of a quantity; values up to `least` are 0."""
+    """Return the cell of a quantity; values and bounds up to `least` are 0."""
     if quantity is None:
         return LineCell()
-    text = "0" if quantity.value is not None and abs(quantity.value) <= least else number(quantity.value)
-    interval = quantity.interval
-    return LineCell(text, None if interval is None else (f"{interval.low:.3g}", f"{interval.high:.3g}"), is_best)
+    bounds = None
+    if quantity.interval is not None:
+        low, high = quantity.interval.low, quantity.interval.high
+        bounds = "0" if abs(low) <= least else f"{low:.3g}", "0" if abs(high) <= least else f"{high:.3g}"
+    return LineCell(_beyond_rounding(quantity.value, least), bounds, is_best)
+
+
+def _beyond_rounding(value: float | None, least: float) -> str:
+    """Return a number as text, 0 if it is at most `least`."""
+    return "0" if value is not None and abs(value) <= least else number(value)
 
 
 class _Best:
