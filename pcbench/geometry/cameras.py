@@ -79,7 +79,9 @@ class Intrinsics:
         left, right = (np.column_stack([np.full(65, x), v]) for x in (0, self.width))
         pixels = np.concatenate([upper, lower, left, right])
         rays = self.directions(pixels)[:, :2]
-        return np.where(np.isnan(rays), np.copysign(np.inf, pixels - [self.cx, self.cy]), rays)
+        offsets = pixels - [self.cx, self.cy]
+        beyond = np.where(offsets == 0, 0.0, np.copysign(np.inf, offsets))
+        return np.where(np.isnan(rays), beyond, rays)
 
     @property
     def widest(self) -> FloatArray:
@@ -223,7 +225,9 @@ def _remove_fisheye(target: FloatArray, distortion: tuple[float, ...]) -> FloatA
     samples, slopes = _fisheye_radius(np.linspace(0, largest, 256), distortion)
     radius = np.hypot(*target.T)
     within = radius <= samples.max()
-    reached = np.searchsorted(np.maximum.accumulate(samples), radius[within].max(initial=0))
+    reached = len(samples) - 1  # pixels beyond the largest radius have no ray only if the radius grows up to there
+    if within.all():
+        reached = int(np.searchsorted(np.maximum.accumulate(samples), radius.max(initial=0)))
     if not (slopes[: reached + 1] > 1e-3).all():
         return None
     angle = np.interp(radius[within], samples[: reached + 1], np.linspace(0, largest, 256)[: reached + 1])

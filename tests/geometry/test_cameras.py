@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from wording import check_error
 
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 
@@ -84,3 +85,16 @@ def test_points_beside_a_camera_project_nowhere_without_warnings():
         pixels, depths = camera.project(beside)
     assert not np.isfinite(pixels).all(axis=1).any()
     assert (depths <= 0).all()
+
+
+def test_fisheye_that_folds_over_before_the_border_has_no_rays():
+    """Its radius t (1 - 0.3 t^2) is largest at 60 degrees, at 0.70 focal lengths; the border begins at one."""
+    folding = Intrinsics(2000, 2000, 1000, 1000, 1000, 1000, (-0.3, 0.0, 0.0, 0.0), fisheye=True)
+    for pixels in ([[2000.0, 1000.0]], [[1100.0, 1000.0], [2000.0, 1000.0]]):
+        with pytest.raises(InputError):
+            folding.directions(np.array(pixels))
+
+
+def test_border_of_a_lens_beyond_the_widest_angle_keeps_its_directions():
+    border = Intrinsics(2000, 2000, 400, 400, 1000, 1000, (0.0, 0.0, 0.0, 0.0), fisheye=True).border
+    assert border[32].tolist() == [0.0, -np.inf] and border[0].tolist() == [-np.inf, -np.inf]
