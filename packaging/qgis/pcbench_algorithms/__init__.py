@@ -131,7 +131,7 @@ def run(command, feedback):
         QgsProcessingException: it failed or was cancelled.
     """
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PYTHONPATH")}
-    process = subprocess.Popen(  # QGIS has set the paths of its own Python
+    process = subprocess.Popen(  # without the paths that QGIS set for its Python
         command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
