@@ -1,7 +1,7 @@
 """Prepare a release in a clean clone: `make release VERSION=0.2.0`.
 
-The version of pyproject.toml and of the conda recipe is set, the section "Unreleased" of the changelog is dated, the
-wheels, the source distribution and the site are built, and the change is committed with a tag. What needs other
+The version is set in all files that state it, the section "Unreleased" of the changelog is dated, the wheels, the
+source distribution and the site are built, and the change is committed with a tag. What needs other
 machines or a decision is printed as a list. If a step fails, nothing is committed.
 """
 
@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 VERSION_LINES = {  # files that state the version, and the start of the line
     "pyproject.toml": 'version = "',
     "packaging/conda/recipe.yaml": '  version: "',
+    "packaging/qgis/pcbench_algorithms/metadata.txt": "version=",
 }
 BUILDS = ("wheels", "sdist", "docs", "stale")  # targets of make, in order
 
@@ -56,12 +57,12 @@ def prepare(root: Path, version: str, date: datetime.date) -> None:
         raise ValueError(f"the clone has changes:\n{changes}")
     texts = {name: (root / name).read_text() for name in (*VERSION_LINES, "CHANGELOG.md")}
     for name, start in VERSION_LINES.items():
-        line = re.search(rf'^{re.escape(start)}(\d+\.\d+\.\d+)"', texts[name], re.MULTILINE)
+        line = re.search(rf"^{re.escape(start)}(\d+\.\d+\.\d+)", texts[name], re.MULTILINE)
         if line is None:
             raise ValueError(f"{name} states no version")
         if _numbers(version) <= _numbers(line[1]):
             raise ValueError(f"{name} has version {line[1]} already")
-        texts[name] = texts[name].replace(line[0], f'{start}{version}"', 1)
+        texts[name] = texts[name].replace(line[0], start + version, 1)
     before, heading, after = texts["CHANGELOG.md"].partition("## Unreleased\n")
     if not after.partition("\n## ")[0].strip():
         raise ValueError("the changelog has nothing under Unreleased")
