@@ -73,6 +73,11 @@ class _Pattern:
             raise InputError("expected the path of a file, with placeholders if there are several, got an empty text")
         if wrong := [part for part in _ANY_BRACES.findall(text) if not _PLACEHOLDER.fullmatch(part)]:
             raise InputError(f"{text}: expected the placeholders {{scene}} and {{method}}, got {wrong[0]}")
+        if "}{" in text:
+            raise InputError(
+                f"{text}: expected text between {{scene}} and {{method}}, which nothing else separates: name the"
+                " methods, as in points=points{scene}.ply"
+            )
         self.placeholders = frozenset(_PLACEHOLDER.findall(text))
 
     def files(self) -> Iterator[tuple[dict[str, str], str]]:

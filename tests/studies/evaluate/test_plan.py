@@ -92,6 +92,7 @@ def test_patterns_that_fit_nothing_or_two_files_are_refused(files):
         ("gt/scan{scene}.ply", "{method}/scan{scene}/mesh.ply"),
         ("gt/{method}.ply", "{method}/scan1/mesh.ply"),
         ("gt/{Scene}.ply", "a/scan1/mesh.ply"),
+        ("gt/scan{scene}.ply", "a/{method}{scene}.ply"),
         ("gt/scan{scene}.ply", "a/scan{scene}/mesh.ply", "a/scan{scene}/other.ply"),
         ("gt/scan{scene}.ply", "x={method}/scan{scene}/mesh.ply"),
         ("nothing.ply", "a/scan1/mesh.ply"),
