@@ -55,14 +55,22 @@ def _charts(history: Sequence[Progress]) -> list[CurveChart]:
     if history[-1].held_out_psnr is not None:
         scores["held-out photographs"] = [row.held_out_psnr or 0.0 for row in history]
     steps = [row.done for row in history]
+    label = "steps" if history[-1].done == history[-1].step else "steps, with those of models that were given up"
     return [
-        _chart("PSNR", "dB", steps, scores),
-        _chart("Gaussians", "number", steps, {"Gaussians": [float(row.gaussians) for row in history]}, from_zero=True),
+        _chart("PSNR", "dB", label, steps, scores),
+        _chart(
+            "Gaussians",
+            "number",
+            label,
+            steps,
+            {"Gaussians": [float(row.gaussians) for row in history]},
+            from_zero=True,
+        ),
     ]
 
 
 def _chart(
-    title: str, unit: str, steps: Sequence[int], curves: dict[str, list[float]], *, from_zero: bool = False
+    title: str, unit: str, label: str, steps: Sequence[int], curves: dict[str, list[float]], *, from_zero: bool = False
 ) -> CurveChart:
     values = [value for curve in curves.values() for value in curve]
     x_ticks, y_ticks = _round_ticks(steps[0], steps[-1]), _round_ticks(0 if from_zero else min(values), max(values))
@@ -81,7 +89,7 @@ def _chart(
     inside = [tick for tick in x_ticks if steps[0] <= tick <= steps[-1]]
     return CurveChart(
         title,
-        "steps",
+        label,
         unit,
         series,
         [Tick(x(tick), _short(tick)) for tick in inside],
