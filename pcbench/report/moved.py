@@ -13,7 +13,7 @@ from pcbench.report.words import interval_text, length, length_number, rounding_
 
 MIN_VERTICAL_SHARE = 0.9
 """Share of a motion that is vertical, from which it is called up or down."""
-_ROUNDING_SHARE = 1e-9  # of a motion, up to which a component and the half width of its interval are rounding
+_ROUNDING_SHARE = 1e-12  # of a motion, up to which a component and the half width of its interval are rounding
 
 
 def is_offset(comparison: FinishedComparison, candidate: Candidate) -> bool:
