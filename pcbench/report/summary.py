@@ -21,14 +21,12 @@ from pcbench.report.layout import (
     headline_of,
     line_key,
 )
-from pcbench.report.words import UNKNOWN, columns, number, rounding_limit, shorten_name
+from pcbench.report.words import UNKNOWN, LengthFormatter, columns, length_formatter, number, shorten_name
 
 MAX_SIDE_BY_SIDE = 2  # candidates in one table with a column each
 _MAX_ROWS = 16
 _GAP = 2  # blanks between columns
 _MIN_NAME_COLUMNS = 16
-
-LengthFormatter = Callable[[float | None], str]
 
 
 class Column(NamedTuple):
@@ -45,7 +43,7 @@ class Column(NamedTuple):
 
 def main_lines(comparison: FinishedComparison) -> list[Line]:
     """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
-    candidates, show = list(comparison), _length_formatter(comparison)
+    candidates, show = list(comparison), length_formatter(comparison)
     has_details = len(main_thresholds(comparison)) == 1  # of F-scores
 
     def cell(quantity: Quantity) -> LineCell:
@@ -102,7 +100,7 @@ def _asked_groups(comparison: FinishedComparison) -> set[str]:
 
 def main_columns(comparison: FinishedComparison, width: int) -> list[Column]:
     """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
-    candidates, show = list(comparison), _length_formatter(comparison, digits=3)
+    candidates, show = list(comparison), length_formatter(comparison, digits=3)
     pose = ["" if c.registration.is_ranked else "doubtful" for c in candidates]
     facts = {
         "points": Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates]),
@@ -169,13 +167,3 @@ def main_thresholds(comparison: FinishedComparison) -> list[float]:
 def _deformation_size(candidate: Candidate, show: LengthFormatter) -> str:
     result = candidate.deformation.assuming_pose()
     return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
-
-
-def _length_formatter(comparison: FinishedComparison, digits: int = 4) -> LengthFormatter:
-    """Return a function that formats lengths; values within rounding are 0."""
-    least = rounding_limit(comparison)
-
-    def show(value: float | None) -> str:
-        return UNKNOWN if value is None else "0" if abs(value) <= least else f"{value:.{digits}g}"
-
-    return show

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate
 
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.wording import pluralize, with_unit
 from pcbench.report.inputs import FinishedComparison
 
+LengthFormatter = Callable[[float | None], str]
 UNKNOWN = "–"
 _ROUNDING_SHARE = 1e-9  # of the scene's extent
 
@@ -115,6 +116,16 @@ def _prefix(text: str, width: int) -> str:
 def rounding_limit(comparison: FinishedComparison) -> float:
     """Return the largest distance that counts as rounding, in the clouds' unit."""
     return _ROUNDING_SHARE * comparison.reference.extent
+
+
+def length_formatter(comparison: FinishedComparison, digits: int = 4) -> LengthFormatter:
+    """Return a function that formats lengths; values within rounding are 0."""
+    least = rounding_limit(comparison)
+
+    def show(value: float | None) -> str:
+        return UNKNOWN if value is None else "0" if abs(value) <= least else f"{value:.{digits}g}"
+
+    return show
 
 
 def title(comparison: FinishedComparison) -> str:

@@ -10,7 +10,7 @@ from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import PAGE_RANKS, Headline, Line, LineCell, LineQuantities
 from pcbench.report.ranking import leaders
 from pcbench.report.summary import headline_lines
-from pcbench.report.words import number, rounding_limit
+from pcbench.report.words import LengthFormatter, length_formatter
 
 MAX_ACROSS = 4  # candidates that have columns; more candidates have a row each
 _RANKED = {"d2_rms": 1.0, "mean_distance": 1.0, "fscore": -1.0}  # tested for differences; -1: higher is better
@@ -40,17 +40,18 @@ def main_rows(comparison: FinishedComparison) -> list[Line]:
     def facts(label: str, texts: Iterable[str], second: str = "") -> Line:
         return Line.of_texts(label, texts, second=second, rank=PAGE_RANKS[label])
 
-    candidates, best, least = comparison.candidates, _Best(comparison), rounding_limit(comparison)
+    candidates, best = comparison.candidates, _Best(comparison)
+    show, show_bound = length_formatter(comparison), length_formatter(comparison, digits=3)
     reference_points = f"{comparison.reference.points_in_region:,}"
     rows = [
         facts("points measured", (f"{c.points_in_region:,}" for c in candidates), reference_points),
-        facts("registration RMSE", (_beyond_rounding(c.registration.rmse, least) for c in candidates)),
+        facts("registration RMSE", (show(c.registration.rmse) for c in candidates)),
         facts("overlap", (f"{c.registration.overlap:.1%}" for c in candidates)),
     ]
     for headline, quantities in headline_lines(comparison):
         winners = best.of(quantities)
         cells = [
-            (_cell(pair[0], least, (k, 0) in winners), _cell(pair[1], least, (k, 1) in winners))
+            (_cell(pair[0], show, show_bound, (k, 0) in winners), _cell(pair[1], show, show_bound, (k, 1) in winners))
             for k, pair in enumerate(quantities.pairs)
         ]
         level = headline.level if quantities.first.threshold is None else 0
@@ -76,20 +77,13 @@ def _rank(headline: Headline) -> int | None:
     return min((rank for rank in headline.ranks if rank is not None), default=None)
 
 
-def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
-    """Return the cell of a quantity; values and bounds up to `least` are 0."""
+def _cell(quantity: Quantity | None, show: LengthFormatter, show_bound: LengthFormatter, is_best: bool) -> LineCell:
+    """Return the cell of a quantity and the bounds of its interval."""
     if quantity is None:
         return LineCell()
-    bounds = None
-    if quantity.interval is not None:
-        low, high = quantity.interval.low, quantity.interval.high
-        bounds = "0" if abs(low) <= least else f"{low:.3g}", "0" if abs(high) <= least else f"{high:.3g}"
-    return LineCell(_beyond_rounding(quantity.value, least), bounds, is_best)
-
-
-def _beyond_rounding(value: float | None, least: float) -> str:
-    """Return a number as text, 0 if it is at most `least`."""
-    return "0" if value is not None and abs(value) <= least else number(value)
+    interval = quantity.interval
+    bounds = None if interval is None else (show_bound(interval.low), show_bound(interval.high))
+    return LineCell(show(quantity.value), bounds, is_best)
 
 
 class _Best:
