@@ -98,8 +98,8 @@ class _Distance(NamedTuple):
 def answer(comparison: FinishedComparison) -> list[str]:
     """Return two to five sentences on a comparison, without distances if all registrations are doubtful.
 
-    A sentence before them says where candidates lie as a whole, if registration moved them or none was made. One after
-    them states the accuracy by check points, if there are any.
+    A sentence before them says where candidates lie as a whole, if registration moved them or none was made. Offsets
+    come after them if a part changed by more. The last one states the accuracy by check points, if there are any.
     """
     return [*_answer(comparison), *check_point_sentences(comparison)]
 
@@ -112,7 +112,16 @@ def _answer(comparison: FinishedComparison) -> list[str]:
         return writer.of_doubtful(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
-    return [*writer.places(trusted), *sentences[: _MAX_SENTENCES + any(map(changes_of, trusted))]]
+    sentences = sentences[: _MAX_SENTENCES + any(map(changes_of, trusted))]
+    places = writer.places(trusted)
+    return [*sentences, *places] if _have_larger_changes(comparison, trusted) else [*places, *sentences]
+
+
+def _have_larger_changes(comparison: FinishedComparison, candidates: Sequence[Candidate]) -> bool:
+    """Return whether a part changed by more than all offsets of the whole candidates, of which there are some."""
+    offsets = [abs(c.offset.median) for c in candidates if c.offset is not None and is_offset(comparison, c)]
+    changes = (change.distance for candidate in candidates for change in changes_of(candidate))
+    return bool(offsets) and max(changes, default=0.0) > max(offsets)
 
 
 class _Writer:

@@ -12,10 +12,11 @@ from pcbench.report.notes import remarks
 CRS = "EPSG:32632"
 
 
-def settled(lowered, crs=CRS, **settings):
-    """Compare terrain with itself after a settlement."""
+def settled(lowered, crs=CRS, raised=0.0, **settings):
+    """Compare terrain with itself after a settlement, and after one part of it was raised."""
     rng = np.random.default_rng(4)
     reference, later = shapes.terrain(8000, seed=1)[0], shapes.terrain(8000, seed=2)[0]
+    later[np.linalg.norm(later[:, :2] - later[:, :2].mean(axis=0), axis=1) < 0.15 * np.ptp(later[:, 0]), 2] += raised
     clouds = (points + rng.normal(0, 0.02, points.shape) for points in (reference, later - [0, 0, lowered]))
     return compare(*(Cloud(points, crs=crs, unit="m") for points in clouds), Settings(**settings))
 
@@ -37,6 +38,13 @@ def test_given_coordinates_have_a_signed_offset(lowered):
     found = comparison["candidate_1"].offset
     assert found.interval.low < found.median < found.interval.high < 0
     assert found.median == pytest.approx(-lowered, rel=0.25)  # slopes shorten the distance along the normals
+
+
+def test_larger_changes_come_before_a_signed_offset():
+    comparison = settled(0.05, raised=3.0, register="none")
+    assert comparison["candidate_1"].changes.found
+    first, *_, last = answer(comparison)
+    assert "below the reference" not in first and "below the reference" in last
 
 
 def test_a_doubtful_given_pose_has_one_too():
