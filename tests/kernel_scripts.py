@@ -37,6 +37,18 @@ def check_same_bits(script, digest, isa, threads):
     assert json.loads(process.stdout) == [isa, digest], process.stderr
 
 
+def run_with_rising_memory(script, *arguments, threads):
+    """Run a script that prints the number of MemoryErrors and whether the result is right; check that there are several.
+
+    Blocks of 64 KiB and more are mapped alone and returned when they are freed. Otherwise their number that fails would
+    depend on what the heap of each thread has kept.
+    """
+    process = run_script(script, *arguments, OMP_NUM_THREADS=str(threads), MALLOC_MMAP_THRESHOLD_=str(1 << 16))
+    assert process.returncode == 0, process.stderr
+    failures, is_right = process.stdout.split()
+    assert int(failures) > 3 and is_right == "True", process.stdout
+
+
 def compute_with_rising_memory(compute):
     """Return the number of MemoryErrors until `compute` succeeds, and its result.
 
