@@ -38,10 +38,10 @@ def check_same_bits(script, digest, isa, threads):
 
 
 def run_with_rising_memory(script, *arguments, threads):
-    """Run a script that prints the number of MemoryErrors and whether the result is right; check that there are several.
+    """Run a script that prints its number of MemoryErrors and whether its result is right; both must be as expected.
 
-    Blocks of 64 KiB and more are mapped alone and returned when they are freed. Otherwise their number that fails would
-    depend on what the heap of each thread has kept.
+    Several allocations must fail. Blocks of 64 KiB and more are mapped alone and returned when they are freed.
+    Otherwise the number of failures would depend on what the heap of each thread has kept.
     """
     process = run_script(script, *arguments, OMP_NUM_THREADS=str(threads), MALLOC_MMAP_THRESHOLD_=str(1 << 16))
     assert process.returncode == 0, process.stderr
