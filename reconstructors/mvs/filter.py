@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
+from reconstructors.mvs.native import _patchmatch
 
-_BLOCK_PIXELS = 1 << 16  # pixels processed at a time: each needs some twenty float64 values of temporary memory
-_MIN_SEEING_CONFIDENCE = 0.5  # a less confident depth behind a point does not contradict it
-_MAX_DEPTH_RATIO = 1.05  # between a plane's depth half a pixel off its centre and at it; steeper normals are unreliable
+_MAX_DEPTH_RATIO = 1.05  # as in native/confirm.h
 
 
 @dataclass(frozen=True)
@@ -80,55 +79,29 @@ def filter_map(
     agree = np.zeros((len(sources), *candidates.shape), dtype=np.bool_)
     seen_through = np.zeros(candidates.shape, dtype=np.uint8)
     total = depth_map.depth.astype(np.float64)
+    rows, columns = np.nonzero(candidates)
     for k, (other, map_) in enumerate(sources):
-        rows, columns = np.nonzero(candidates)
-        for start in range(0, len(rows), _BLOCK_PIXELS):
-            pixels = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
-            confirmation = confirm(camera, depth_map, pixels, other, map_, criteria)
-            confirmed = pixels[0][confirmation.indices], pixels[1][confirmation.indices]
-            agree[k][confirmed] = True
-            total[confirmed] += confirmation.depths
-            seen_through[pixels[0][confirmation.seen_through], pixels[1][confirmation.seen_through]] += 1
+        depths, sees_through = confirm(camera, depth_map, (rows, columns), other, map_, criteria)
+        agree[k][rows, columns] = confirmed = np.isfinite(depths)
+        total[rows, columns] += np.where(confirmed, depths, 0)
+        seen_through[rows, columns] += sees_through
     confirmations = agree.sum(axis=0)
     kept = candidates & (1 + confirmations >= criteria.views) & (confirmations > seen_through)
     means = (total / (1 + confirmations)).astype(np.float32)
     return FilteredMap(replace(depth_map, depth=means).where(kept), agree & kept)
 
 
-class _Warp(NamedTuple):
-    """Maps pixels of one pinhole with depths to homogeneous pixels of another: depth * linear (u, v, 1) + shift."""
-
-    linear: FloatArray
-    shift: FloatArray
-
-    @classmethod
-    def between(cls, a: Camera, b: Camera) -> _Warp:
-        """Return the warp from pixels of a to pixels of b."""
-        k = b.intrinsics.matrix
-        turn = b.cam_from_world.rotation @ a.cam_from_world.rotation.T
-        step = b.cam_from_world.translation - turn @ a.cam_from_world.translation
-        return cls(k @ turn @ np.linalg.inv(a.intrinsics.matrix), k @ step)
-
-    def apply(self, u: FloatArray, v: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return pixel coordinates and depths (N,) each; not finite or not meaningful behind the other camera."""
-        x, y, z = (depth * (m[0] * u + m[1] * v + m[2]) + t for m, t in zip(self.linear, self.shift, strict=True))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return x / z, y / z, z
-
-
 class Confirmation(NamedTuple):
-    """Pixels that another map confirms.
+    """Answers of another map to pixels of a map.
 
     Args:
-        indices: (N,) indices into the queried pixels, ascending.
-        depths: (N,) depths of the other map's surface at these pixels, in the querying camera.
-        seen_through: (M,) indices of the queried pixels whose points the other image sees through: its surface there
-            is farther away.
+        depths: (N,) depths of the other map's surface at these pixels, in the map's camera; NaN where it does not
+            confirm the map's depth.
+        sees_through: (N,), True if the other image sees through the pixel's point: its surface there is farther away.
     """
 
-    indices: IntArray
     depths: FloatArray
-    seen_through: IntArray
+    sees_through: NDArray[np.bool_]
 
 
 def confirm(
@@ -139,9 +112,10 @@ def confirm(
     other_map: DepthMap,
     criteria: Criteria,
 ) -> Confirmation:
-    """Return the pixels of a map that another map confirms; those that fail a test skip the remaining tests.
+    """Compare depths of a map with another map.
 
-    Depths of the other map below the minimum confidence confirm nothing.
+    Depths of the other map below the minimum confidence confirm nothing. Its depth off the centre of a pixel is that of
+    the plane through the pixel's depth and normal.
 
     Args:
         camera: pinhole of the map.
@@ -151,29 +125,32 @@ def confirm(
         other_map: the other map.
         criteria: criteria for agreement.
     """
-    height, width = other_map.depth.shape
-    v, u = (index.astype(np.float64) + 0.5 for index in pixels)
-    x, y, z = _Warp.between(camera, other).apply(u, v, depth_map.depth[pixels].astype(np.float64))
-    indices = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
-    row, column = y[indices].astype(np.int64), x[indices].astype(np.int64)
-    usable = (other_map.depth[row, column] > 0) & (other_map.confidence[row, column] >= criteria.confidence)
-    indices, row, column = indices[usable], row[usable], column[usable]
+    k, (rows, columns) = other.intrinsics, pixels
+    depths, sees_through = np.empty(len(rows)), np.empty(len(rows), np.bool_)
+    _patchmatch.confirm(
+        *_arrays(depth_map), np.ascontiguousarray(rows), np.ascontiguousarray(columns),
+        *_arrays(other_map), np.array([k.fx, k.fy, k.cx, k.cy]), _warp(camera, other), _warp(other, camera),
+        camera.cam_from_world.rotation @ other.cam_from_world.rotation.T,
+        criteria.confidence, criteria.pixels, criteria.depth, np.cos(np.radians(criteria.normal_deg)),
+        depths, sees_through,
+    )  # fmt: skip
+    return Confirmation(depths, sees_through)
 
-    depths = depths_on_planes(other, other_map, row, column, x[indices], y[indices])
-    beyond = depths - z[indices]
-    is_seen_through = beyond > criteria.depth * z[indices]
-    is_seen_through &= other_map.confidence[row, column] >= _MIN_SEEING_CONFIDENCE
-    seen_through = indices[is_seen_through]
-    close = np.abs(beyond) <= criteria.depth * z[indices]
-    indices, row, column, depths = indices[close], row[close], column[close], depths[close]
 
-    back_u, back_v, back_z = _Warp.between(other, camera).apply(x[indices], y[indices], depths)
-    close = (back_z > 0) & (np.hypot(back_u - u[indices], back_v - v[indices]) <= criteria.pixels)
-    turn = camera.cam_from_world.rotation @ other.cam_from_world.rotation.T
-    normals = depth_map.normal[pixels[0][indices], pixels[1][indices]]
-    other_normals = other_map.normal[row, column] @ turn.T.astype(np.float32)
-    close &= np.einsum("ni,ni->n", normals, other_normals) >= np.cos(np.radians(criteria.normal_deg))
-    return Confirmation(indices[close], back_z[close], seen_through)
+def _arrays(depth_map: DepthMap) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return depths, normals and confidences as compiled code reads them."""
+    depth, normal, confidence = (
+        np.ascontiguousarray(part, np.float32) for part in (depth_map.depth, depth_map.normal, depth_map.confidence)
+    )
+    return depth, normal, confidence
+
+
+def _warp(a: Camera, b: Camera) -> FloatArray:
+    """Return the matrix (3, 4) from homogeneous pixels of a times their depths to those of b."""
+    k = b.intrinsics.matrix
+    turn = b.cam_from_world.rotation @ a.cam_from_world.rotation.T
+    step = b.cam_from_world.translation - turn @ a.cam_from_world.translation
+    return np.column_stack([k @ turn @ np.linalg.inv(a.intrinsics.matrix), k @ step])
 
 
 def depths_on_planes(

@@ -29,7 +29,7 @@ from reconstructors.splat.rotations import rotate
 from reconstructors.splat.voxels import Points, Voxels, concatenate_points
 
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
-_BLOCK_PIXELS = 1 << 16  # pixels processed at a time
+_BLOCK_PIXELS = 1 << 18  # pixels processed at a time
 # If this many images agree (or all that may see the point, if fewer), the uncertainty of a depth is that of its pixel.
 # With fewer, chance agreement on wrong depths is more frequent: errors on synthetic cities grow with about this power
 # of the ratio.
@@ -170,11 +170,10 @@ def _confirmed_points(
     uncertainties: list[FloatArray] = []
     for start in range(0, len(rows), _BLOCK_PIXELS):
         block = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
-        ray_depths = np.full((1 + len(others), len(block[0])), np.nan)
+        ray_depths = np.empty((1 + len(others), len(block[0])))
         ray_depths[0] = depth_map.depth[block]
         for k, (other, other_map) in enumerate(others, start=1):
-            matched, depths_on_ray, _ = confirm(camera, depth_map, block, other, other_map, criteria)
-            ray_depths[k, matched] = depths_on_ray
+            ray_depths[k] = confirm(camera, depth_map, block, other, other_map, criteria).depths
         views = np.isfinite(ray_depths).sum(axis=0)
         enough = views >= criteria.views
         block = (block[0][enough], block[1][enough])

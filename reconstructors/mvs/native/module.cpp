@@ -11,6 +11,7 @@
 #include "common/choose_kernels.h"
 #include "common/forked.h"
 #include "common/interruptible.h"
+#include "confirm.h"
 #include "kernels.h"
 
 namespace {
@@ -145,6 +146,43 @@ private:
     std::vector<Map> depths_, visible_;
 };
 
+using Motion = In<double, nb::shape<3, 4>>;
+using Normals = In<float, nb::shape<-1, -1, 3>>;
+
+pcbench::mvs::ConfirmMap checked_map(Map depth, Normals normal, Map confidence) {
+    const auto sized = [&](const auto& array) {
+        return array.shape(0) == depth.shape(0) && array.shape(1) == depth.shape(1);
+    };
+    check(sized(normal) && sized(confidence), "expected depths, normals and confidences of one size");
+    return {depth.data(), normal.data(), confidence.data(), static_cast<int64_t>(depth.shape(0)),
+            static_cast<int64_t>(depth.shape(1))};
+}
+
+void confirm(Map depth, Normals normal, Map confidence, Indices rows, Indices columns, Map other_depth,
+             Normals other_normal, Map other_confidence, In<double, nb::shape<4>> other_pinhole, Motion to_other,
+             Motion back, In<double, nb::shape<3, 3>> turn, double min_confidence, double max_pixels, double max_depth,
+             double min_cosine, Out<double, nb::shape<-1>> depths, Out<bool, nb::shape<-1>> sees_through) {
+    const pcbench::mvs::Confirmations confirmations{checked_map(depth, normal, confidence),
+                                                    checked_map(other_depth, other_normal, other_confidence),
+                                                    {to_other.data()},
+                                                    {back.data()},
+                                                    other_pinhole.data(),
+                                                    turn.data(),
+                                                    {min_confidence, max_pixels, max_depth, min_cosine}};
+    const auto count = static_cast<int64_t>(rows.shape(0));
+    check(
+        columns.shape(0) == rows.shape(0) && depths.shape(0) == rows.shape(0) && sees_through.shape(0) == rows.shape(0),
+        "expected as many columns and results as rows");
+    for (int64_t i = 0; i < count; ++i) {
+        const int64_t row = rows.data()[i], column = columns.data()[i];
+        check(row >= 0 && row < confirmations.map.height && column >= 0 && column < confirmations.map.width,
+              "expected pixels inside the map");
+    }
+    pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
+        confirmations.run(rows.data(), columns.data(), count, depths.data(), sees_through.data(), interrupt);
+    });
+}
+
 }  // namespace
 
 NB_MODULE(_patchmatch, m) {
@@ -177,4 +215,13 @@ NB_MODULE(_patchmatch, m) {
              "    view_costs: (H, W, sources), written.\n"
              "    sweeps: number of sweeps.\n"
              "    first: index of the first sweep; perturbations shrink with it.");
+
+    m.def("confirm", &confirm, nb::arg("depth").noconvert(), nb::arg("normal").noconvert(),
+          nb::arg("confidence").noconvert(), nb::arg("rows").noconvert(), nb::arg("columns").noconvert(),
+          nb::arg("other_depth").noconvert(), nb::arg("other_normal").noconvert(),
+          nb::arg("other_confidence").noconvert(), nb::arg("other_pinhole").noconvert(),
+          nb::arg("to_other").noconvert(), nb::arg("back").noconvert(), nb::arg("turn").noconvert(),
+          nb::arg("min_confidence"), nb::arg("max_pixels"), nb::arg("max_depth"), nb::arg("min_cosine"),
+          nb::arg("depths").noconvert(), nb::arg("sees_through").noconvert(),
+          "Confirm depths of a map by another map; see reconstructors.mvs.filter.confirm.");
 }

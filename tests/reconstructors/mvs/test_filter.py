@@ -7,7 +7,7 @@ from exact_maps import corner_map, plane_map, rays
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.visibility import in_frame
-from reconstructors.mvs.filter import Criteria, filter_map, world_points
+from reconstructors.mvs.filter import Criteria, confirm, depths_on_planes, filter_map, world_points
 from reconstructors.mvs.maps import DepthMap
 
 K = Intrinsics(160, 120, 150.0, 155.0, 81.0, 58.5)
@@ -167,3 +167,50 @@ def test_world_points_project_to_their_pixels():
     projections, depths = camera.project(world_points(camera, pixels, true_depths))
     np.testing.assert_allclose(projections, pixels, atol=1e-9)
     np.testing.assert_allclose(depths, true_depths, atol=1e-12)
+
+
+def reference_confirmation(camera, depth_map, other, other_map, criteria):
+    """Return depths (H, W), NaN if not confirmed, and whether the other image sees through each pixel, by numpy."""
+    row, column = np.indices(depth_map.depth.shape)
+    u, v = column + 0.5, row + 0.5
+    points = world_points(camera, np.stack([u, v], axis=-1).reshape(-1, 2), depth_map.depth.ravel())
+    (x, y), z = (part.T for part in other.project(points))
+    inside = (z > 0) & (x >= 0) & (x < K.width) & (y >= 0) & (y < K.height)
+    x, y = (np.where(inside, coordinate, 0) for coordinate in (x, y))
+    there = y.astype(int), x.astype(int)
+    inside &= (other_map.depth[there] > 0) & (other_map.confidence[there] >= criteria.confidence)
+    depths = depths_on_planes(other, other_map, *there, x, y)
+    beyond = depths - z
+    sees_through = inside & (beyond > criteria.depth * z) & (other_map.confidence[there] >= 0.5)
+    on_surface = world_points(other, np.stack([x, y], axis=-1), depths)
+    (back_u, back_v), back_z = (part.T for part in camera.project(on_surface))
+    is_back = (back_z > 0) & (np.hypot(back_u - u.ravel(), back_v - v.ravel()) <= criteria.pixels)
+    turn = camera.cam_from_world.rotation @ other.cam_from_world.rotation.T
+    cosines = np.einsum("ni,ni->n", depth_map.normal.reshape(-1, 3), other_map.normal[there] @ turn.T)
+    is_close = (np.abs(beyond) <= criteria.depth * z) & (cosines >= np.cos(np.radians(criteria.normal_deg)))
+    return np.where(inside & is_back & is_close, back_z, np.nan), sees_through
+
+
+def test_compiled_confirmation_equals_that_of_numpy():
+    """Rounding decides for few pixels whether they meet a criterion."""
+    rng = np.random.default_rng(3)
+    views = make_cameras(3)
+    maps = [plane_map(camera, TILTED_NORMAL, 0.2) for camera in views]
+    noisy_maps = []
+    for map_ in maps:
+        normals = map_.normal + rng.normal(0, 0.35, map_.normal.shape)
+        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+        depths = map_.depth * rng.normal(1, 0.015, map_.depth.shape) * (rng.random(map_.depth.shape) > 0.1)
+        confidences = rng.random(map_.depth.shape)
+        noisy_maps.append(DepthMap(*(part.astype(np.float32) for part in (depths, normals, confidences))))
+    pixels = tuple(part.ravel() for part in np.indices(maps[0].depth.shape))
+    for other, other_map in zip(views[1:], noisy_maps[1:], strict=True):
+        depths, sees_through = confirm(views[0], noisy_maps[0], pixels, other, other_map, Criteria())
+        expected_depths, expected_sees_through = reference_confirmation(
+            views[0], noisy_maps[0], other, other_map, Criteria()
+        )
+        assert (np.isfinite(depths) == np.isfinite(expected_depths)).mean() > 0.9995
+        assert (sees_through == expected_sees_through).mean() > 0.9995
+        both = np.isfinite(depths) & np.isfinite(expected_depths)
+        assert 0.1 < both.mean() < 0.9 and 0.02 < sees_through.mean() < 0.9
+        np.testing.assert_allclose(depths[both], expected_depths[both], rtol=1e-9)
