@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel wheels sdist release bench instructions stale gallery notebooks wording pictures clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel wheels sdist release bench instructions measured stale gallery notebooks wording pictures clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -125,6 +125,13 @@ bench: $(VENV)/.all
 # Compare the instructions of a small comparison with those of an earlier commit; needs Debian's valgrind.
 instructions: $(VENV)/.all
 	$(BIN)/python benchmarks/instructions.py
+
+# Run the commands behind printed measurements whose code has changed, and write what they print into the pages;
+# `make measured ONLY="speed tiles"` runs those whose page or command has one of these words. It installs the peers that PyPI
+# has; CloudCompare comes with Debian.
+measured: $(VENV)/.all
+	$(PIP) pykdtree small_gicp point-cloud-utils py4dgeo opencv-python-headless
+	$(BIN)/python docs/remeasure.py --only '$(ONLY)'
 
 # List the tables of measurements that are older than the code they measure.
 stale: $(BIN)/python

@@ -43,10 +43,15 @@ def limit_threads(threads: int) -> None:
 
 
 def commit() -> str:
-    """Return the commit of the working tree, with `-dirty` if files have changed since."""
-    command = ["git", "describe", "--always", "--dirty"]
-    output = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True).stdout
-    return output.strip() or "unknown"
+    """Return the commit of the working tree, with `-dirty` if files other than pages have changed since."""
+
+    def git(*words: str) -> str:
+        root = Path(__file__).parents[1]
+        return subprocess.run(["git", *words], cwd=root, capture_output=True, text=True).stdout.strip()
+
+    name = git("rev-parse", "--short", "HEAD")
+    is_dirty = bool(git("status", "--porcelain", "--untracked-files=no", "--", ":!docs", ":!*.md"))
+    return f"{name}-dirty" if is_dirty else name or "unknown"
 
 
 def setting() -> str:

@@ -1,9 +1,14 @@
-"""Hooks of mkdocs: included files of the repository, printed answers that wrap, and what the search puts first."""
+"""Hooks of mkdocs: included files, the age of tables, printed answers that wrap, and what the search puts first."""
 
 import re
+import sys
 from html import unescape
 from pathlib import Path
 from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parent))  # mkdocs loads this file alone
+
+from written_tables import TABLE, read_run
 
 _ROOT = Path(__file__).resolve().parent.parent
 _INCLUDE = re.compile(r"^--8<-- \"(?P<file>[^\"]+)\"$", re.MULTILINE)
@@ -13,7 +18,11 @@ _REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what 
 
 
 def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
-    """Include the files that the page names by `--8<-- "FILE"`; their links start at the root of the repository."""
+    """Include the files that the page names by `--8<-- "FILE"`, and say which printed tables are older than their code.
+
+    Links of included files start at the root of the repository.
+    """
+    markdown = TABLE.sub(_with_age, markdown)
     if page.file.src_uri.startswith("reference/"):
         page.meta.setdefault("search", {}).setdefault("boost", _REFERENCE_BOOST)
     return _INCLUDE.sub(lambda include: included_text((_ROOT / include["file"]).read_text()), markdown)
@@ -27,6 +36,13 @@ def on_page_content(html: str, **kwargs: Any) -> str:
 def included_text(text: str) -> str:
     """Return a file of the root for a page in `docs/`: `docs/architecture.md` becomes `architecture.md`."""
     return text.replace("](docs/", "](")
+
+
+def _with_age(table: re.Match[str]) -> str:
+    run = read_run(_ROOT, table[1])
+    if run is None or not run.changed_files(_ROOT):
+        return table[0]
+    return f"{table[0]}\n\n*Commit {run.commit} of {run.day}; code that this table measures has changed since.*"
 
 
 def _marked(line: str) -> str:

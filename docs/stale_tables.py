@@ -6,27 +6,29 @@ A comment on the page names the files and folders that are measured; the text or
     The two-way search takes 0.2 s (commit 1a2b3c4, 2 cores).
 
 A mark is valid up to the next mark, for every commit named there. A measurement is stale if a measured file has other
-code at HEAD than at its commit; comments, docstrings and layout do not count. Prints one line for each stale
+code at HEAD than at its commit; comments, docstrings and layout do not count. Tables that `make measured` wrote need no
+mark: they are stale if a file that their command imported has other code now. Prints one line for each stale
 measurement, unknown commit, missing commit and missing mark; the exit code is 0 in each case.
 """
 
-import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
+from written_tables import ROOT, Run, code_of, read_run, tables
+
 MEASURED = "docs/measured/"  # each table on these pages is a measurement
 SUMMARY = "docs/measured/index.md"  # quotes the other pages, which name the commits
 
+NO_RUNS: Mapping[str, Run] = {}
+_MADE_BY = re.compile(r"<!-- made by: (.+?) -->")
 _MARK = re.compile(r"<!-- measures: (.+?) -->")
 _TABLE = re.compile(r"\|[ |:-]*-[ |:-]*\|$|```text")
 _COMMIT = re.compile(r"\b(?=[0-9a-f]*[0-9])[0-9a-f]{7,40}\b")  # a word such as "defaced" is no commit
-_CPP_COMMENT = re.compile(r'("(?:\\.|[^"\\\n])*")|//[^\n]*|/\*.*?\*/', re.DOTALL)
 
 
 class Measurement(NamedTuple):
@@ -36,25 +38,34 @@ class Measurement(NamedTuple):
         place: page and line.
         commit: the commit as the page names it; None: the page names none below the mark.
         code: files and folders of the repository; None: no mark precedes the commit or the table.
+        run: the stored run of the command that printed the table, if there is one.
     """
 
     place: str
     commit: str | None
     code: tuple[str, ...] | None
+    run: Run | None = None
 
 
-def measurements(page: str, text: str) -> Iterator[Measurement]:
+def measurements(page: str, text: str, runs: Mapping[str, Run] = NO_RUNS) -> Iterator[Measurement]:
     """Yield the measurements of a page.
 
     Args:
         page: path of the page in the repository.
         text: its Markdown.
+        runs: stored runs of the commands that printed tables of the page.
     """
     mark: Measurement | None = None  # the last mark, while no commit below it is found
     code: tuple[str, ...] | None = None
-    ends_with_commit = False
+    ends_with_commit = is_stored = False
     for number, line in enumerate(text.splitlines(), 1):
         place = f"{page}:{number}"
+        if (made_by := _MADE_BY.fullmatch(line)) and (run := runs.get(made_by[1])):
+            mark, is_stored = None, True
+            yield Measurement(place, run.commit, tuple(run.code), run)
+        is_stored = is_stored and line != "```"
+        if is_stored:
+            continue
         if match := _MARK.search(line):
             if mark:
                 yield mark
@@ -76,12 +87,17 @@ def measurements(page: str, text: str) -> Iterator[Measurement]:
 def all_measurements(root: Path) -> list[Measurement]:
     """Return the measurements of the README and of all pages below docs/."""
     pages = [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
-    return [m for page in pages for m in measurements(page.relative_to(root).as_posix(), page.read_text())]
+    runs = {table.command: run for table in tables(root) if (run := read_run(root, table.command))}
+    return [m for page in pages for m in measurements(page.relative_to(root).as_posix(), page.read_text(), runs)]
 
 
 def status(measurement: Measurement, root: Path) -> str | None:
     """Return what is wrong with a measurement in a line, or None if its code has not changed."""
     commit, code = measurement.commit, measurement.code
+    if measurement.run is not None:
+        changed = measurement.run.changed_files(root)
+        files = f"{len(changed)} of {len(measurement.run.code)} files have other code ({', '.join(changed[:3])})"
+        return f"commit {commit} of {measurement.run.day}: {files}" if changed else None
     if code is None:
         return f"commit {commit}: no mark `measures:`" if commit else "a table without mark `measures:`"
     if commit is None:
@@ -119,17 +135,9 @@ def _differ(root: Path, before: str | None, now: str | None) -> bool:
 
 @cache
 def _code(root: Path, blob: str) -> str:
-    """Return the content of a file without comments, docstrings and layout."""
+    """Return the code of a file in the history."""
     process = subprocess.run(["git", "-C", root, "cat-file", "blob", blob], capture_output=True, check=True)
-    text = process.stdout.decode(errors="replace")
-    try:
-        tree = ast.parse(text)
-    except (SyntaxError, ValueError):  # not Python
-        return " ".join(_CPP_COMMENT.sub(lambda match: match[1] or " ", text).split())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body = node.body[1:]
-    return ast.dump(tree)
+    return code_of(process.stdout.decode(errors="replace"))
 
 
 def main(root: Path = ROOT) -> int:

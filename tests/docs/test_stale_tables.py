@@ -70,7 +70,7 @@ def test_only_changes_of_code_make_a_table_stale(repository, stale_tables, tmp_p
     repository.commit(**{name: after})
     repository.write_page(f"<!-- measures: code -->\n\n(commit {first}, 2 cores)\n")
     (measurement,) = stale_tables.all_measurements(tmp_path)
-    assert measurement == (f"{PAGE}:3", first, ("code",))
+    assert measurement == (f"{PAGE}:3", first, ("code",), None)
     assert bool(stale_tables.status(measurement, tmp_path)) is is_stale
 
 
