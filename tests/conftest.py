@@ -12,6 +12,9 @@ from data_folder import data_root
 # Set before numpy is imported: test workers share the cores, and threads on small matrices would block each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+# As in the Makefile: workers and child processes read compiled modules, also where the environment says otherwise.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
 
 # Shells make background jobs ignore Ctrl-C, and children inherit that; but some tests send Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -1,7 +1,7 @@
 """Read thousands of damaged files: each gives a cloud, a mesh or a one-line PcbenchError, in bounded memory and time.
 
 `fuzz_worker.run` starts this file as a script in a separate process, so that memory and time are limited by the
-system and a crash is detected: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
+system and a crash is detected: `fuzz_worker.py CORPORA COUNT SEED FOLDER`, with commas between names of corpora.
 """
 
 import collections
@@ -58,10 +58,15 @@ CORPORA = {
 }
 
 
-def run(corpus, count, seed, folder):
-    command = [sys.executable, __file__, corpus, str(count), str(seed), str(folder)]
+def run(corpora, count, seed, folder):
+    """Check files of each corpus in one process, whose imports take longer than a hundred files."""
+    command = [sys.executable, __file__, ",".join(corpora), str(count), str(seed), str(folder)]
     process = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 5
+        command,
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
+        capture_output=True,
+        text=True,
+        timeout=60 + len(corpora) * count / 5,
     )
     assert process.returncode == 0, (
         f"exit {process.returncode}, last file in {folder}:\n{process.stdout}{process.stderr}"
@@ -92,7 +97,7 @@ def damage_packed(data, rng):
 
 
 def main(corpus, count, seed, folder):
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+    """Check damaged files of a corpus."""
     from pcbench.errors import PcbenchError
     from pcbench.io import read_cloud
     from pcbench.io.meshes import read_mesh
@@ -109,9 +114,9 @@ def main(corpus, count, seed, folder):
 
     def check(message):
         if not message.startswith(f"{path}: ") or not message.isprintable() or len(message) > len(str(path)) + 400:
-            raise SystemExit(f"{number} ({name}): not one clear line: {message!r}")
+            raise SystemExit(f"{corpus} {number} ({name}): not one clear line: {message!r}")
         if "memory" in message:
-            raise SystemExit(f"{number} ({name}): an allocation of the size that the damage asks for")
+            raise SystemExit(f"{corpus} {number} ({name}): an allocation of the size that the damage asks for")
 
     for number in range(count):
         name, data = rng.choice(files)
@@ -130,15 +135,17 @@ def main(corpus, count, seed, folder):
             outcomes["refused"] += 1
         else:
             if not len(result):
-                raise SystemExit(f"{number} ({name}): nothing in it")
+                raise SystemExit(f"{corpus} {number} ({name}): nothing in it")
             outcomes["read"] += 1
         signal.setitimer(signal.ITIMER_PROF, 0)
         for note in notes:
             check(note)
-    print(dict(outcomes))
+    print(corpus, dict(outcomes), flush=True)
     if min(outcomes["refused"], outcomes["read"]) < count // 50:
-        raise SystemExit("the damage is too strong or too weak to tell anything")
+        raise SystemExit(f"{corpus}: the damage is too strong or too weak to tell anything")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+    for name_of_corpus in sys.argv[1].split(","):
+        main(name_of_corpus, int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]))

@@ -1,6 +1,7 @@
 """No circular imports inside a subpackage, so that its files can be read and tested in order."""
 
 import ast
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -27,6 +28,7 @@ def imported_files(source: Path) -> set[Path]:
     return files - {None, source}
 
 
+@cache
 def module_file(module: str) -> Path | None:
     path = ROOT.joinpath(*module.split("."))
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)

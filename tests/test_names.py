@@ -37,10 +37,10 @@ def test_names_of_values_say_what_the_value_is(room):
 
 
 def vague_names(file: Path) -> Iterator[str]:
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    classes = (node for node in nodes if isinstance(node, ast.ClassDef))
     fields = {line.target for each in classes for line in each.body if isinstance(line, ast.AnnAssign)}
-    for node in ast.walk(tree):
+    for node in nodes:
         is_assigned = isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node not in fields
         name = node.id if is_assigned else node.arg if isinstance(node, ast.arg) else ""
         if name in VAGUE:

@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from math import prod
 from pathlib import Path, PurePath
 from tokenize import TokenError
@@ -134,8 +134,13 @@ def types_in(hint: Any) -> dict[str, type]:
         pending += get_args(part)
         if isinstance(part, type) and _fields_of(part) is not None and _name_of(part) not in types:
             types[_name_of(part)] = part
-            pending += get_type_hints(part).values()
+            pending += _field_types(part)
     return types
+
+
+@cache
+def _field_types(kind: Any) -> tuple[Any, ...]:
+    return tuple(get_type_hints(kind).values())
 
 
 def result_type(function: Callable[..., Any]) -> Any:

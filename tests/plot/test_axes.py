@@ -98,8 +98,11 @@ def test_texts_are_outside_the_picture_of_the_box(view):
 
 
 @EVERY_VIEW
-@pytest.mark.parametrize("size, share", [((1100, 600), 0.5), ((600, 400), 0.5), ((380, 520), 0.58)], ids=str)
-@pytest.mark.parametrize("low", [-12.3, 1234.5])
+@pytest.mark.parametrize(
+    "low, size, share",
+    [(-12.3, (1100, 600), 0.5), (1234.5, (600, 400), 0.5), (-12.3, (380, 520), 0.58), (1234.5, (380, 520), 0.58)],
+    ids=str,
+)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_texts_of_axes_do_not_overlap_and_fit_into_the_window(shape, low, size, share, view):
     """In a narrow window, texts extend into the margin, so that the box is not too small."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.io.contents import FileState
 from pcbench.io.pieces import CloudOnDisk, Piece, PieceNotes, read_piece
-from pcbench.measure.tiled.columns import column_file, save_column
+from pcbench.measure.tiled.columns import column_file, map_column, save_column
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
 
 _INDEX_ENTRIES = 1_024  # of a run: fine enough to find windows of some thousand points
@@ -192,7 +192,7 @@ class CloudRuns:
         overlapping = [each for each in ranges if run.overlaps(each)]
         if not overlapping:
             return
-        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")
+        points = map_column(column_file(self.folder, run.number, "points"))
         for ends in overlapping:
             start, stop = (self._position(run, points, code) for code in ends)
             if start < stop:
@@ -212,7 +212,7 @@ class CloudRuns:
 
 def _read_slices(file: Path, slices: Sequence[tuple[int, int]]) -> list[NDArray[Any]]:
     """Return parts of a stored column, which are read when they are used."""
-    values = np.load(file, mmap_mode="r")
+    values = map_column(file)
     return [values[start:stop] for start, stop in slices]
 
 

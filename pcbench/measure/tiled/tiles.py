@@ -14,7 +14,7 @@ from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.normals import unit
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
-from pcbench.measure.tiled.columns import column_file, load_column, save_column
+from pcbench.measure.tiled.columns import column_file, load_column, map_column, save_column
 from pcbench.measure.tiled.runs import CloudRuns
 
 NORMALS = "normals"
@@ -125,8 +125,7 @@ class TiledCloud:
 
     def open(self, number: int, column: str) -> NDArray[Any]:
         """Return a column of a tile as a memory map."""
-        values: NDArray[Any] = np.load(self.file(number, column), mmap_mode="r")
-        return values
+        return map_column(self.file(number, column))
 
 
 def make_tile(

@@ -30,17 +30,23 @@ def distorted_photograph(camera):
     )
 
 
-@pytest.fixture(scope="module", params=[LENS, FISHEYE], ids=["brown", "fisheye"])
-def scene(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return scene_through(LENS, tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def fisheye_scene(tmp_path_factory):
+    return scene_through(FISHEYE, tmp_path_factory.mktemp("scene"))
+
+
+def scene_through(lens, folder):
     """A scene with a distorted, masked image and a pinhole image, both in a subfolder."""
-    folder = tmp_path_factory.mktemp("scene")
     (folder / "images/left").mkdir(parents=True)
     (folder / "masks/left").mkdir(parents=True)
     distorted, ideal = (
         Camera(f"left/{name}.png", k, camera.cam_from_world)
-        for name, k, camera in zip(
-            "ab", (request.param, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True
-        )
+        for name, k, camera in zip("ab", (lens, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True)
     )
     Image.fromarray(distorted_photograph(distorted)).save(folder / "images" / distorted.name)
     Image.fromarray(corner.photograph(ideal)).save(folder / "images" / ideal.name)
@@ -51,8 +57,11 @@ def scene(request, tmp_path_factory):
     return read_scene(folder)
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_lens_distortion_is_removed(scene, scale):
+@pytest.mark.parametrize(
+    ("lens", "scale"), [("scene", 1.0), ("scene", 0.5), ("fisheye_scene", 1.0)], ids=["brown", "brown-half", "fisheye"]
+)
+def test_lens_distortion_is_removed(request, lens, scale):
+    scene = request.getfixturevalue(lens)
     camera = scene.cameras["left/a.png"]
     target = pinhole(camera, scale)
     assert target.intrinsics.is_pinhole
