@@ -32,7 +32,7 @@ _MAX_LOG_RATIO = 0.05  # for a warning about clouds that do overlap
 
 
 def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_scale: bool) -> str:
-    """Return a sentence on why a registration may have failed and what to do, to precede the error; "" if unknown.
+    """Return why a registration failed and what to do, for the end of its error; "" if units and systems agree.
 
     Args:
         reference: reference cloud.
@@ -59,9 +59,9 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    which = "it" if reasons[-1].endswith("?") else "the candidate"
-    remedy = f"Convert {which} with pcbench convert FILE OUT{command}"
-    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {remedy}{conversion}: "
+    is_question = reasons[-1].endswith("?")
+    remedy = f"{' Convert it' if is_question else ': convert the candidate'} with pcbench convert FILE OUT{command}"
+    return f"{' and '.join(reasons)}{remedy}{conversion}"
 
 
 def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float) -> tuple[Notice, ...]:
