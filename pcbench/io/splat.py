@@ -77,8 +77,8 @@ def write_splat(path: Path, cloud: Cloud, warn: Warn) -> None:
     step, axis = float(np.spacing(largest)), float(np.median(model.largest_axes))
     if step > axis or not np.isfinite(largest):
         raise InputError(
-            f"expected splats near the origin, got coordinates up to {largest:.3g}, which float32 rounds to {step:.2g}, more than half of the"
-            f" splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
+            f"expected splats near the origin, got coordinates up to {np.abs(cloud.points).max():.3g}, which float32"
+            f" rounds to {step:.2g}, more than half of the splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
         )
     others = {"the normals": cloud.normals, "the crs": cloud.crs, "the unit": cloud.unit}
     others |= {name: values for name, values in cloud.attributes.items() if not is_splat_attribute(name)}

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError, Notice, RegistrationError
+from pcbench.errors import InputError, Notice, RegistrationError, did_you_mean
 from pcbench.geometry.crs import check_lengths, is_projected_crs, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
@@ -218,7 +218,8 @@ def parse_method(text: str) -> Method:
     if kind == "tnt" and path:
         return TrajectorySettings.read(path)
     if colon or kind not in _NAMED:
-        raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}")
+        hint = did_you_mean(text, METHODS)
+        raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}{hint}")
     return _NAMED[kind]
 
 
