@@ -89,8 +89,9 @@ def similar_names(name: object, names: Iterable[str], most: int = 3, least: floa
         most: number of names that are returned at most.
         least: similarity from 0 to 1 from which a name is returned.
     """
-    known = {each.lower(): each for each in reversed(list(names))}  # of equal ones, the first
-    return [known[each] for each in difflib.get_close_matches(str(name).lower(), known, most, least)]
+    by_lower_case = {each.lower(): each for each in reversed(list(names))}  # of equal ones, the first
+    matches = difflib.get_close_matches(str(name).lower(), by_lower_case, most, least)
+    return [by_lower_case[each] for each in matches]
 
 
 def did_you_mean(name: object, names: Iterable[str]) -> str:

@@ -38,7 +38,7 @@ def check_same_bits(script, digest, isa, threads):
 
 
 def run_with_rising_memory(script, *arguments, threads):
-    """Run a script that prints the number of MemoryErrors and whether the result is right; check that there are several.
+    """Run a script that prints the number of MemoryErrors and whether its result is right; check that some occur.
 
     Blocks of 64 KiB and more are mapped alone and returned when they are freed. Otherwise their number that fails would
     depend on what the heap of each thread has kept.
