@@ -5,8 +5,10 @@ The command line prints each on one line.
 
 from __future__ import annotations
 
+import difflib
 import errno
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 _MAX_MESSAGE_LENGTH = 1000  # characters; longer messages quote their input at length
@@ -76,6 +78,26 @@ class Notice:
 
     def __str__(self) -> str:
         return self.text
+
+
+def similar_names(name: object, names: Iterable[str], most: int = 3, least: float = 0.6) -> list[str]:
+    """Return the names that are similar to one that does not exist, the most similar one first.
+
+    Args:
+        name: the name that does not exist.
+        names: those that do.
+        most: number of names that are returned at most.
+        least: similarity from 0 to 1 from which a name is returned.
+    """
+    by_lower_case = {each.lower(): each for each in reversed(list(names))}  # of equal ones, the first
+    matches = difflib.get_close_matches(str(name).lower(), by_lower_case, most, least)
+    return [by_lower_case[each] for each in matches]
+
+
+def did_you_mean(name: object, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?", for the end of an error about a name that does not exist; "" if none is similar."""
+    similar = similar_names(name, names)
+    return f"; did you mean {' or '.join(similar)}?" if similar else ""
 
 
 def one_line(text: str, max_length: int | None = None) -> str:

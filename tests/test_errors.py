@@ -2,7 +2,7 @@
 
 import pytest
 
-from pcbench.errors import InputError, MissingExtra, Notice, one_line
+from pcbench.errors import InputError, MissingExtra, Notice, did_you_mean, one_line
 
 
 def test_messages_are_one_printable_line():
@@ -25,3 +25,8 @@ def test_a_message_that_is_not_too_long_stays_complete(length):
 
 def test_the_error_of_a_missing_library_is_cleaned_too():
     assert "\x1b" not in str(MissingExtra("open3d", "open3d", reason="cannot load \x1b[31m"))
+
+
+def test_similar_names_are_suggested():
+    assert did_you_mean("Presets", ["preset", "crop", "presence"]) == "; did you mean preset or presence?"
+    assert did_you_mean("x", ["preset"]) == did_you_mean("x", []) == ""

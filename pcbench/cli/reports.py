@@ -160,6 +160,8 @@ def compare_and_print(
 
     output = JsonOutput(json_file)
     output.check(request.files, folder=out)
+    if request.tiles is not None and request.tiles.workspace is not None:
+        output.check([], folder=request.tiles.workspace)  # which is removed at the end
     if fail_if:
         from pcbench.comparison.rehearsal import rehearse
 

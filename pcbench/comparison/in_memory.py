@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 
@@ -43,7 +43,7 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import DirectedBudget
 from pcbench.measure.settings import Settings
 from pcbench.measure.summaries import DirectionSummary, summarize
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums, along_upward_normals
+from pcbench.measure.tiled.overview import OverviewSums, PixelGrid, PixelSums, along_upward_normals
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.systems import release_free_memory
@@ -259,10 +259,10 @@ class PairInMemory:
 
         def overview(direction: Direction, tangents: IntArray | None, sign: int) -> MapOverview:
             """Return the raster of a direction, block by block to limit memory: the sums are exact."""
-            starts = range(0, len(direction.points), _BLOCK_QUERIES)
-            parts = (sums(direction, tangents, sign, slice(start, start + _BLOCK_QUERIES)) for start in starts)
-            total = reduce(lambda first, second: PixelSums.merge([first, second]), parts)
-            return total.overview(pixels, reference.origin)
+            total = OverviewSums(pixels)
+            for start in range(0, len(direction.points), _BLOCK_QUERIES):
+                total.add(sums(direction, tangents, sign, slice(start, start + _BLOCK_QUERIES)))
+            return total.overview(reference.origin)
 
         forth, back = self.directions
         # A point of the reference below the candidate has a negative distance to it.

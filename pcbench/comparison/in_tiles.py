@@ -411,7 +411,6 @@ class PairInTiles:
                     origin=origin,
                     crs=self.reference.crs,
                     unit=self.prepared.stored.source.unit,
-                    pixels=self.pair.pixels,
                 )
         return deviation, completeness
 
@@ -424,7 +423,8 @@ class PairInTiles:
         return OwnResults({}, ())
 
     def release_matches(self) -> None:
-        """Do nothing: matches are on disk."""
+        """Release the rasters, which are written; matches are on disk."""
+        self.__dict__["directions"] = tuple(replace(direction, overview=None) for direction in self.directions)
 
     def assess_deformation(self) -> Deformation:
         """Assess the deformation of the part that did not change."""

@@ -23,7 +23,6 @@ from pcbench.io.pieces import CloudOnDisk, read_piece
 from pcbench.io.source import Source
 from pcbench.measure.own_metrics import metric_name
 from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.nearby import MAX_NEAR_POINTS
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.windows import MAX_SAMPLE
 from pcbench.registration import TrajectorySettings, as_method
@@ -77,10 +76,8 @@ class CloudsOnDisk:
         largest = max(cloud.count for cloud in self.candidates.values())
         # A dense candidate has up to twice as many points in the windows of its sample.
         in_windows = min(self.reference.count, MAX_SAMPLE) + min(largest, 2 * MAX_SAMPLE)
-        # Later, the surroundings of queries are in memory.
-        samples = max(in_windows, min(max(largest, self.reference.count), MAX_NEAR_POINTS))
         pieces = [piece.count for cloud in self.clouds for piece in cloud.pieces]
-        return tiling.least_memory(samples, max(pieces), draws=draws)
+        return tiling.least_memory(in_windows, (self.reference.count, largest), max(pieces), draws=draws)
 
     @cached_property
     def contents(self) -> dict[Path, FileState]:

@@ -165,11 +165,22 @@ def _workspace(
     key = clouds.key(request.settings, request.tiles.settings)
     folders = default_workspaces(out, key) if request.tiles.workspace is None else [request.tiles.workspace]
     folder = folders[0]  # the others have the same parent
+    if out is not None and _overlap(out, folder):
+        raise InputError(
+            f"{folder}: the workspace is removed at the end, so that it cannot contain the report ({out}) or lie in"
+            " it: choose another folder"
+        )
     for path in request.files:
         if path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{folder}: the workspace would replace the input {path}: choose another folder")
     with first_free_workspace(folders, key, on_notice) as workspace:
         yield _Workspace(workspace, key, clouds)
+
+
+def _overlap(one: Path, other: Path) -> bool:
+    """Return whether one of two folders is in the other."""
+    paths = one.resolve(), other.resolve()
+    return paths[0].is_relative_to(paths[1]) or paths[1].is_relative_to(paths[0])
 
 
 def _compute(

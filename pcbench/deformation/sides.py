@@ -37,6 +37,11 @@ class Side:
     inside: NDArray[np.bool_]
     cloud: Cloud
 
+    @property
+    def fresh_surface(self) -> Surface:
+        """The same points and normals, for queries far from each other that are not repeated."""
+        return self.surface
+
     def displaced(self, displacement: Displacement) -> Surface:
         """Return the points after a displacement was removed."""
         points = self.surface.points

@@ -42,13 +42,13 @@ def separate_changes(reference: Side, candidate: Side) -> SeparatedChanges:
     smooth displacement is removed, and if that leaves less than half of them, only those remain. A smooth model that
     explains less is not needed: parts changed.
     """
-    changes = SeparatedChanges(find_changes(reference.surface, candidate.surface), None)
+    changes = SeparatedChanges(find_changes(reference.fresh_surface, candidate.fresh_surface), None)
     if changes.sampled.share <= _MIN_SHARE:
         return changes
     search = PairSearch.of(reference, candidate)
     displacement = None if search is None else search.displacement()
     if displacement is None:
         return changes
-    others = find_changes(reference.surface, candidate.displaced(displacement))
+    others = find_changes(reference.fresh_surface, candidate.displaced(displacement))
     is_deformed = others.share <= _MIN_REDUCTION * changes.sampled.share
     return SeparatedChanges(others, displacement) if is_deformed else changes

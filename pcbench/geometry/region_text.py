@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.polygon_files import as_finite_number, read_polygon, shorten
 from pcbench.geometry.regions import Box, Region, Sphere
+
+_KINDS = ("none", "box", "sphere", "polygon", "reference", "quantile")
+_POLYGON_EXTENSIONS = (".json", ".geojson", ".wkt")
 
 
 def parse_region(text: str, reference: Cloud) -> Region | None:
@@ -49,10 +52,20 @@ def parse_region(text: str, reference: Cloud) -> Region | None:
                 return Sphere.around(reference, *_parse_numbers(rest, "q"))
     except InputError as error:
         raise InputError(f"region {text!r}: {error}") from error
+    if _is_file(text.strip()):
+        raise InputError(f"region {text!r}: expected polygon:FILE, got a file alone: write polygon:{text.strip()}")
     raise InputError(
         f"region {text!r}: expected none, box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE,"
-        " reference or quantile:q"
+        f" reference or quantile:q{did_you_mean(kind, _KINDS)}"
     )
+
+
+def _is_file(text: str) -> bool:
+    """Return whether a text names a file, or would by its extension."""
+    try:
+        return Path(text).suffix.lower() in _POLYGON_EXTENSIONS or Path(text).is_file()
+    except OSError:  # too long for a name
+        return False
 
 
 def as_region(region: Region | str, reference: Cloud) -> Region | None:

@@ -22,6 +22,11 @@ def metres(unit: str | None) -> float | None:
     return _METRES_PER_UNIT.get((unit or "").strip().lower())
 
 
+def unit_key(unit: str) -> float | str:
+    """Return a key that is the same for all names of one unit."""
+    return metres(unit) or unit.strip().lower()
+
+
 def unit_of_length(length: float) -> str | None:
     """Return the short name of the unit of a length in metres, which files round; None if there is none."""
     return _SHORT_NAMES.get(round(length, 10))

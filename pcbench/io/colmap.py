@@ -82,10 +82,20 @@ def read_colmap(path: Path, warn: Warn) -> Fields:
         OSError: the file cannot be read.
     """
     read = _read_binary if path.suffix.lower() == ".bin" else _read_text
-    return read(path.read_bytes(), warn)
+    fields = read(path.read_bytes(), warn)
+    if fields is None:
+        raise InputError(f"expected at least one point, got a model with cameras alone: {_where_points_are(path)}")
+    return fields
 
 
-def _read_binary(data: bytes, warn: Warn) -> Fields:
+def _where_points_are(path: Path) -> str:
+    """Return what to do with a model without points; scenes of `pcbench synth` have their cloud in truth/."""
+    clouds = [folder / "truth" / "cloud.ply" for folder in path.parents[:3]]
+    cloud = next(filter(Path.is_file, clouds), None)
+    return "export it with its points" if cloud is None else f"name a cloud, such as {cloud}"
+
+
+def _read_binary(data: bytes, warn: Warn) -> Fields | None:
     if len(data) < 8:
         raise InputError(f"expected a point count of 8 bytes, got {len(data)} bytes: copy or export the model again")
     (count,) = struct.unpack_from("<Q", data)
@@ -103,13 +113,13 @@ def _read_binary(data: bytes, warn: Warn) -> Fields:
         raise InputError(f"truncated: got {len(offsets)} of {count} points: copy or export the model again")
     check_end(data[offset:][:MAX_PADDING], size - offset, _POINT.itemsize, f"{count} points", warn)
     if not count:
-        raise InputError("expected at least one point, got a model without points: export it with its points")
+        return None
     windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), _POINT.itemsize)
     rows = windows[offsets].view(_POINT)[:, 0]
     return _fields(rows["xyz"], rows["rgb"], rows["id"], rows["error"], rows["track_length"])
 
 
-def _read_text(data: bytes, warn: Warn) -> Fields:
+def _read_text(data: bytes, warn: Warn) -> Fields | None:
     """Parse lines of id, x y z, r g b, error, then (image, keypoint) pairs. Lines that start with # are comments."""
     ids: list[int] = []
     values: list[list[float]] = []
@@ -131,7 +141,7 @@ def _read_text(data: bytes, warn: Warn) -> Fields:
         ids.append(int(words[0]))
         values.append([*row, (len(words) - 8) / 2])
     if not values:
-        raise InputError("expected at least one point, got a model without points: export it with its points")
+        return None
     check_complete(data, "points", len(values), warn)
     table = np.array(values)
     return _fields(table[:, :3], table[:, 3:6].astype(np.uint8), np.array(ids, np.uint64), table[:, 6], table[:, 7])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Storage
 from pcbench.geometry.crs import crs_argument, crs_name, same_crs
+from pcbench.geometry.units import unit_key
 from pcbench.io.files import Fields, Warn
 
 _NUMBER = re.compile(r"\d[\d.,]*(e[+-]?\d+)?")
@@ -50,7 +51,7 @@ def common_crs(stated: Sequence[StatedCrs], warn: Warn) -> tuple[str | None, str
                     f" {crs_argument(crs.crs)}"
                 )
             same.add(one.crs)
-        if one.unit not in (unit.unit, None):
+        if one.unit is not None and unit.unit is not None and unit_key(one.unit) != unit_key(unit.unit):
             raise InputError(
                 f"expected files in one unit, got {unit.unit} in {unit.path} and {one.unit} in {one.path}:"
                 f" convert one with pcbench convert FILE OUT --to-unit {unit.unit}"

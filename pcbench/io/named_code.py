@@ -16,7 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.regular_files import regular_status
 
 SUFFIX = ".py"
@@ -59,7 +59,10 @@ class CodeKind:
         points = [point for point in entry_points(group=self.group) if point.name == spec]
         if not points:
             names = ", ".join(self.installed_names()) or "none"
-            raise InputError(f"no {self.noun} {spec!r} is installed: there are {names}; or give FILE.py:{self.form}")
+            hint = did_you_mean(spec, self.installed_names())
+            raise InputError(
+                f"no {self.noun} {spec!r} is installed: there are {names}; or give FILE.py:{self.form}{hint}"
+            )
         if len(points) > 1:
             packages = " and ".join(sorted(map(_origin, points)))
             raise InputError(f"two {self.noun}s are named {spec!r}, in {packages}: give MODULE:{self.form} instead")

@@ -72,11 +72,13 @@ def write_splat(path: Path, cloud: Cloud, warn: Warn) -> None:
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     model = model_to_write(cloud)
-    step, axis = float(np.spacing(np.float32(np.abs(cloud.points).max()))), float(np.median(model.largest_axes))
-    if step > axis:
+    with np.errstate(over="ignore"):
+        largest = np.float32(np.abs(cloud.points).max())
+    step, axis = float(np.spacing(largest)), float(np.median(model.largest_axes))
+    if step > axis or not np.isfinite(largest):
         raise InputError(
-            f"expected splats near the origin, got coordinates that float32 rounds to {step:.2g}, more than half of the"
-            f" splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
+            f"expected splats near the origin, got coordinates up to {np.abs(cloud.points).max():.3g}, which float32"
+            f" rounds to {step:.2g}, more than half of the splats measure ({axis:.2g}): {shift_advice(cloud.points)}"
         )
     others = {"the normals": cloud.normals, "the crs": cloud.crs, "the unit": cloud.unit}
     others |= {name: values for name, values in cloud.attributes.items() if not is_splat_attribute(name)}

@@ -135,6 +135,8 @@ def _read_version_4(file: BinaryIO, size: int, warn: Warn) -> tuple[_SpzHeader, 
     """Return the header and the columns of version 4: a table of contents, and one Zstandard stream per column."""
     start = file.read(_HEADER_4_BYTES)
     header = _parse_header(start, (4,))
+    if len(start) < _HEADER_4_BYTES:
+        raise _truncated_header(start)
     (toc,) = struct.unpack("<I", start[16:20])
     widths = [width for width in header.widths if width]
     streams = start[15]
@@ -182,7 +184,7 @@ def _unpacked_bytes(header: _SpzHeader, size: int) -> int:
 
 def _parse_header(data: bytes, versions: tuple[int, ...]) -> _SpzHeader:
     if len(data) < _HEADER.size:
-        raise InputError(f"truncated: got {len(data)} bytes of a header: copy or export the file again")
+        raise _truncated_header(data)
     magic, version, count, degree, bits, flags, _ = _HEADER.unpack(data[: _HEADER.size])
     if magic != _MAGIC:
         raise InputError(f"expected gzip of a header that starts with NGSP, got {data[:4]!r}: export it again as .spz")
@@ -199,6 +201,10 @@ def _parse_header(data: bytes, versions: tuple[int, ...]) -> _SpzHeader:
     if not count:
         raise InputError("expected at least one splat, got 0: export the file again")
     return _SpzHeader(version, count, degree, bits, flags)
+
+
+def _truncated_header(data: bytes) -> InputError:
+    return InputError(f"truncated: got {len(data)} bytes of a header: copy or export the file again")
 
 
 # ---- values -------------------------------------------------------------------------------------------------------
@@ -293,7 +299,9 @@ def _fractional_bits(points: FloatArray, axis: float) -> int:
 def _fixed(points: FloatArray, bits: int) -> NDArray[np.uint8]:
     """Return coordinates as whole numbers of 24 bits (N, 9); halves go away from 0."""
     steps = points * float(1 << bits)
-    whole = (np.sign(steps) * np.floor(np.abs(steps) + 0.5)).astype("<i4")
+    rounded = np.sign(steps) * np.floor(np.abs(steps) + 0.5)
+    most = 1 << (_POSITION_BITS - 1)  # which the largest coordinate may reach by rounding
+    whole = rounded.clip(-most, most - 1).astype("<i4")
     return whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9)
 
 

@@ -130,6 +130,9 @@ def spreads(
     if not sampled:
         return {}
     u = np.stack([score.influence for score in sampled.values()]).reshape(-1, *cells.shape)
+    # Products of four influences are summed below: a power of two keeps those of far points finite, and all digits.
+    exponents = np.frexp(np.abs(u).max(axis=(1, 2, 3)))[1]
+    u = np.ldexp(u, -exponents[:, None, None, None])
     w = shares.reshape(1, *cells.shape)
     p = np.square(u)
     around = [_box_sums(u, reach) for reach in _CORRELATION_RADII]
@@ -156,7 +159,10 @@ def spreads(
         degrees_of_freedom = max(total**2 / doubt, _MIN_DEGREES_OF_FREEDOM) if doubt > 0 else math.inf
         independent_regions = alone / (total * float(pairs[0, 0]))
         uncertainties[name] = ScoreUncertainty(
-            math.sqrt(variance), degrees_of_freedom, independent_regions, _CORRELATION_RADII[step] * cells.side
+            math.ldexp(math.sqrt(variance), int(exponents[row])),
+            degrees_of_freedom,
+            independent_regions,
+            _CORRELATION_RADII[step] * cells.side,
         )
     return uncertainties
 

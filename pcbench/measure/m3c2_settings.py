@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cloud import Cloud, as_cloud
 
 
@@ -66,7 +66,10 @@ class M3C2Settings:
         for part in re.split(r",(?=\s*[\w-]+=)", text):  # a file name may have commas
             name, equals, value = (piece.strip() for piece in part.partition("="))
             if not equals or name not in names:
-                raise InputError(f"M3C2: expected NAME=VALUE with a name of {', '.join(names)}, got {part.strip()!r}")
+                hint = did_you_mean(name, names)
+                raise InputError(
+                    f"M3C2: expected NAME=VALUE with a name of {', '.join(names)}, got {part.strip()!r}{hint}"
+                )
             if name in values:
                 raise InputError(f"M3C2: expected {name} once, got it twice")
             if not value:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index, Matches, match_both_directions
@@ -233,7 +233,8 @@ def _checked_metrics(metrics: Sequence[str] | str | None, thresholds: Sequence[f
         return tuple(n for n in METRICS if n not in _PLANE_METRICS and (n != "fscore" or len(thresholds)))
     names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
     if unknown := [name for name in names if name not in METRICS]:
-        raise InputError(f"unknown metric {unknown[0]!r}: expected one of {', '.join(METRICS)}")
+        hint = did_you_mean(unknown[0], METRICS)
+        raise InputError(f"unknown metric {unknown[0]!r}: expected one of {', '.join(METRICS)}{hint}")
     if "fscore" in names and not len(thresholds):
         raise InputError("fscore: expected thresholds=(...), the distances within which points count, got none")
     return names

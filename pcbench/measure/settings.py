@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.mesh_samples import MAX_SAMPLES
 from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.region_text import region_file
@@ -247,7 +247,8 @@ class Settings:
         if unknown := [name for name in wanted if name not in presets.NAMES]:
             raise InputError(_unknown_preset(unknown[0]))
         if unknown := [name for name in maps if name not in MAPS]:
-            raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}")
+            hint = did_you_mean(unknown[0], MAPS)
+            raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}{hint}")
         if self.tolerance is not None:
             object.__setattr__(self, "tolerance", _check_tolerance(self.tolerance))
         object.__setattr__(self, "presets", tuple(dict.fromkeys(wanted)))
@@ -354,7 +355,8 @@ def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Setti
         raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
     names = [item.name for item in fields(Settings)]
     if unknown := [name for name in changed if name not in names]:
-        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(names)}")
+        hint = did_you_mean(unknown[0], names)
+        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(names)}{hint}")
     return replace(settings, **changed)
 
 
@@ -362,7 +364,9 @@ def _unknown_preset(name: Any) -> str:
     from pcbench.measure.protocols.registry import PROTOCOLS
 
     text = f"unknown preset {name!r}: expected one of {', '.join(presets.NAMES)}"
-    if name in PROTOCOLS:
+    if name not in PROTOCOLS:
+        text += did_you_mean(name, presets.NAMES)
+    else:
         text += f"; {name} evaluates files of a benchmark: pcbench evaluate REFERENCE CANDIDATE --protocol {name}"
     return text
 

@@ -15,7 +15,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints, runtime_checkable
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
@@ -151,7 +151,8 @@ class Plugin:
         settable = {f.name: f for f in fields(self.cls) if f.init}
         if unknown := [name for name in settings if name not in settable]:
             names = ", ".join(settable) or "none"
-            raise InputError(f"{self.name} has no setting {unknown[0]!r}: there are {names}")
+            hint = did_you_mean(unknown[0], settable)
+            raise InputError(f"{self.name} has no setting {unknown[0]!r}: there are {names}{hint}")
         if required := [n for n, f in settable.items() if _default_text(f) is None and n not in settings]:
             raise InputError(f"{self.name} needs the setting {required[0]!r}: give --set {required[0]}=VALUE")
         hints = get_type_hints(self.cls)
@@ -260,7 +261,8 @@ def _convert(name: str, text: str, kind: Any) -> Any:
             pass
     else:
         raise InputError(f"the setting {name!r} is of type {_type_name(kind)}, which --set does not support")
-    raise InputError(f"expected {name} as {_type_name(kind)}, got {text[:60]!r}")
+    hint = did_you_mean(text[:60], map(str, get_args(kind))) if get_origin(kind) is Literal else ""
+    raise InputError(f"expected {name} as {_type_name(kind)}, got {text[:60]!r}{hint}")
 
 
 def _parse_integer(text: str) -> int | None:

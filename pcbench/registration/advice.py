@@ -21,7 +21,7 @@ def align_coarsely() -> str:
 def find_any_scale() -> str:
     """Return advice for clouds whose units may differ."""
     after = "" if has_global() else f", after {_INSTALL}"
-    return f"use --register global-similarity, which finds any pose and scale{after}"
+    return f"use --register global-similarity (any pose and scale){after}"
 
 
 def has_global() -> bool:

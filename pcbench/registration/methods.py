@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError, Notice, RegistrationError
+from pcbench.errors import InputError, Notice, RegistrationError, did_you_mean
 from pcbench.geometry.crs import check_lengths, is_projected_crs, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
@@ -80,7 +80,7 @@ def register(
     Raises:
         InputError: an argument is not usable, a file cannot be read, or the target belongs to another reference.
         RegistrationError: the clouds do not overlap, or the scale collapsed. Different units or coordinate systems,
-            stated or suspected from the sizes, come first in the message.
+            stated or suspected from the sizes, are named.
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
     method = as_method(method)
@@ -130,15 +130,18 @@ def register(
             fit = fit.with_covariance(None)
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
+        nodata = nodata_reason({"reference": reference, "candidate": candidate})
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
-        explanation = f"{nodata_reason({'reference': reference, 'candidate': candidate})}{explanation}"
-        if not explanation:
+        if not nodata and not explanation:
             axes = find_reflection(target, points, origin, with_scale=method.with_scale)
             if axes is None and isinstance(method, FeatureSettings):
                 axes = REFLECTIONS[0] if fits_mirrored_from_any_pose(target, points, origin, method) else None
             if axes is not None:
                 raise RegistrationError(str(mirrored_notice(axes))) from error
-        raise RegistrationError(f"{explanation}{error}") from error
+        what = str(error)
+        if explanation:  # its remedies take the place of those of the error
+            what = f"{what.partition(': ')[0]}; {explanation}"
+        raise RegistrationError(f"{nodata}{what}") from error
 
     quality, scale, sampling = fit.quality, fit.T_local.scale, list[Notice]()
     if isinstance(candidate_shape, Mesh):
@@ -215,7 +218,8 @@ def parse_method(text: str) -> Method:
     if kind == "tnt" and path:
         return TrajectorySettings.read(path)
     if colon or kind not in _NAMED:
-        raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}")
+        hint = did_you_mean(text, METHODS)
+        raise InputError(f"unknown registration {text!r}: expected one of {', '.join(METHODS)}{hint}")
     return _NAMED[kind]
 
 

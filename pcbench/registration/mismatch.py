@@ -9,7 +9,7 @@ import numpy as np
 from pcbench.errors import Notice
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import crs_argument, crs_name, same_crs
-from pcbench.geometry.units import metres
+from pcbench.geometry.units import metres, unit_key
 from pcbench.registration.advice import find_any_scale
 from pcbench.registration.result import UNIT_MISMATCH
 
@@ -32,7 +32,7 @@ _MAX_LOG_RATIO = 0.05  # for a warning about clouds that do overlap
 
 
 def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_scale: bool) -> str:
-    """Return a sentence on why a registration may have failed and what to do, to precede the error; "" if unknown.
+    """Return why a registration failed and what to do, for the end of its error; "" if units and systems agree.
 
     Args:
         reference: reference cloud.
@@ -42,7 +42,7 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     """
     first, second = reference.unit, candidate.unit
     reasons, command = [], ""
-    if first and second and _unit_key(first) != _unit_key(second):
+    if first and second and unit_key(first) != unit_key(second):
         reasons.append(f"the files state different units (reference {first}, candidate {second})")
         command = f" --to-unit {first}"
     if reference.crs and candidate.crs and not same_crs(reference.crs, candidate.crs):
@@ -59,9 +59,9 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    which = "it" if reasons[-1].endswith("?") else "the candidate"
-    remedy = f"Convert {which} with pcbench convert FILE OUT{command}"
-    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {remedy}{conversion}: "
+    is_question = reasons[-1].endswith("?")
+    remedy = f"{' Convert it' if is_question else ': convert the candidate'} with pcbench convert FILE OUT{command}"
+    return f"{' and '.join(reasons)}{remedy}{conversion}"
 
 
 def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float) -> tuple[Notice, ...]:
@@ -92,8 +92,3 @@ def _suspected_units(ratio: float) -> _UnitRatio | None:
         return None
     log = abs(np.log(ratio))
     return next((pair for pair in _UNIT_RATIOS if abs(log - np.log(pair.factor)) < pair.tolerance), None)
-
-
-def _unit_key(unit: str) -> float | str:
-    """Return a key that is the same for all names of one unit."""
-    return metres(unit) or unit.strip().lower()

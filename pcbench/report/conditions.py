@@ -15,11 +15,10 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, similar_names
 
 _MAX_LENGTH = 1000  # characters of a condition
 _MAX_NEAR_NAMES, _MIN_SIMILARITY = 5, 0.5
@@ -266,7 +265,7 @@ def _near(name: str, values: Mapping[str, Any], inner: Sequence[str]) -> str:
     """Return the names in a document that are most similar to an unknown one, in words."""
     names = [_without(inner, full) for full in _names(values)]
     last = name.rpartition(".")[2]
-    near = get_close_matches(name, names, _MAX_NEAR_NAMES, _MIN_SIMILARITY)
+    near = similar_names(name, names, _MAX_NEAR_NAMES, _MIN_SIMILARITY)
     near += [full for full in names if full.rpartition(".")[2] == last and full not in near]
     return f": did you mean {_listed(near[:_MAX_NEAR_NAMES])}?" if near else f": there are {_listed(names)}"
 

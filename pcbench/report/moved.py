@@ -77,8 +77,8 @@ def _given_clause(registration: Registration, motion: RemovedMotion, unit: str |
         if is_vertical
         else f"{length(motion.size, unit)} away"
     )
-    rms = registration.rms_as_given
-    off_surface = "" if rms is None else f", {length(rms, unit)} RMS off its surface"
+    rms = registration.rms_as_given  # of a sample: no third digit that could contradict the RMS of all points
+    off_surface = "" if rms is None else f", about {with_unit(f'{rms:.2g}', unit)} RMS off its surface"
     return f"{frame} it lies {place}{off_surface} (--register none measures this)"
 
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from pcbench.errors import InputError, PcbenchError, WorkerError, reason_of
 from pcbench.scratch import PARTIAL_SUFFIX
-from pcbench.systems import cpu_count
+from pcbench.systems import cpu_count, release_free_memory
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
 from pcbench.tasks.codec import result_type
 from pcbench.tasks.processes import LocalWorkers
@@ -150,6 +150,7 @@ class TaskRunner:
             Exception: the error of a task, unless it was skipped.
         """
         _check_names(stage, tasks)
+        release_free_memory()  # the workers share the memory with this process
         folder = self._folder / stage
         folder.mkdir(exist_ok=True)
         files = {task.name: folder / f"{task.name}{SUFFIX}" for task in tasks}

@@ -10,6 +10,8 @@ import ctypes
 import sys
 from pathlib import Path
 
+from reconstructors.sfm.log import log_without_files
+
 
 def missing_requirement() -> str | None:
     """Return what is missing to run on a GPU, None if nothing is.
@@ -47,6 +49,7 @@ def main(arguments: list[str]) -> int:
         print(problem, file=sys.stderr)
         return 1
     if arguments[0] == "match":
+        log_without_files()
         match(Path(arguments[1]), int(arguments[2]))
     return 0
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from reconstructors.sfm.log import log_without_files
+
 
 def match(database: Path, pairs: Path) -> None:
     """Match on one thread.
@@ -26,7 +28,5 @@ def match(database: Path, pairs: Path) -> None:
 
 
 if __name__ == "__main__":
-    import pycolmap
-
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
+    log_without_files()
     match(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -30,6 +30,7 @@ from reconstructors.sfm.features import (
     working_images,
 )
 from reconstructors.sfm.images import drop_unreadable
+from reconstructors.sfm.log import log_without_files
 from reconstructors.sfm.mapping import Mapper, triangulate
 from reconstructors.sfm.matches import check_verified, match_pairs, verify_matches
 from reconstructors.sfm.model import Refine, cameras_of, check_written, cloud_of, largest_angle_deg, quality
@@ -99,9 +100,7 @@ class ColmapSfm:
             scene: Images with known cameras, positions and masks, if any.
             workspace: Folder for stages and the model.
         """
-        import pycolmap
-
-        pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
+        log_without_files()
         survey = read_control(self.control) if self.control is not None else ControlSurvey()
         keeps_cameras = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         unknown_marks = check_names(survey, scene.images)

@@ -197,6 +197,9 @@ def test_a_mesh_as_the_reference_is_refused(run):
         ("--workspace", "ref.ply", "--tiles", "1e4"),
         ("--workspace", ".", "--tiles", "1e4"),
         ("--workspace", "others", "--tiles", "1e4"),
+        ("--workspace", "work", "--tiles", "1e4", "--out", "work/report"),
+        ("--workspace", "report/work", "--tiles", "1e4", "--out", "report"),
+        ("--workspace", "others", "--tiles", "1e4", "--json", "others/a.json"),
     ],
     ids=" ".join,
 )

@@ -85,6 +85,8 @@ def test_empty_and_invalid_crops_are_refused(region):
         "polygon",
         "box:1,2,3",
         "box",
+        "boxes:0,0,0,1,1,1",
+        "truth/zone.geojson",
         "box:1,2,3,4,5,x",
         "box:1,2,3,4,5,nan",
         "box:1,2,3,4,5,inf",

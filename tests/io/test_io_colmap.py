@@ -124,6 +124,15 @@ def test_damaged_files(tmp_path, name, case):
     assert str(caught.value).isprintable()
 
 
+def test_a_scene_with_cameras_alone_names_its_cloud(tmp_path):
+    for name in ("sparse/0/points3D.txt", "truth/cloud.ply"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_bytes(b"# nothing\n")
+    with check_error() as caught:
+        read_cloud(tmp_path)
+    assert f"name a cloud, such as {tmp_path}/truth/cloud.ply" in str(caught.value)
+
+
 def test_random_damage(tmp_path):
     rng = random.Random(1)
     failures = 0

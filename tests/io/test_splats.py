@@ -135,8 +135,9 @@ def test_splat_keeps_splats(tmp_path, dimensions):
 
 def test_splat_far_from_the_origin(tmp_path):
     splats = make_gaussians()
-    with check_error() as caught:
-        write_cloud(tmp_path / "a.splat", Cloud(splats.points + 5e6, attributes=splats.attributes))
+    for far in (1e39, 5e6):  # beyond float32, and beyond its precision
+        with check_error() as caught:
+            write_cloud(tmp_path / "a.splat", Cloud(splats.points + far, attributes=splats.attributes))
     assert "--shift -5000006,-5000007,-5000008`" in str(caught.value)
     assert not (tmp_path / "a.splat").exists()
 
@@ -213,6 +214,9 @@ def test_spz_far_from_the_origin(tmp_path):
     splats = make_gaussians()
     write_cloud(tmp_path / "a.spz", Cloud(splats.points + 9e4, attributes=splats.attributes), on_warning=lambda _: None)
     np.testing.assert_allclose(read_cloud(tmp_path / "a.spz").points, splats.points + 9e4, atol=1 / 128)
+    edge = Cloud(np.full_like(splats.points, 2048 - 1e-5), attributes=splats.attributes)  # would round to 2^23 steps
+    write_cloud(tmp_path / "a.spz", edge, on_warning=lambda _: None)
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.spz").points, edge.points, atol=2**-12)
     for far in (5e6, 1e8):
         with check_error():
             write_cloud(tmp_path / "b.spz", Cloud(splats.points + far, attributes=splats.attributes))
@@ -267,7 +271,7 @@ SPZ = {
     "no gzip": b"\x1f\x8b" + bytes(30),
     "other file": b"ply\nformat ascii 1.0\n",
     "bomb": gzip.compress(spz(3, count=2**21) + bytes(42 << 20)),
-    "version 4, header": struct.pack("<IIIBBBBI", 0x5053474E, 4, 2, 0, 12, 0, 5, 32),
+    "version 4, header": struct.pack("<IIIBBBB", 0x5053474E, 4, 2, 0, 12, 0, 5),
     "version 4, 2^32 splats": struct.pack("<IIIBBBBI12x", 0x5053474E, 4, 2**32 - 1, 0, 12, 0, 5, 32) + bytes(80),
 }
 

@@ -229,10 +229,15 @@ def test_different_coordinate_systems(tiles):
 
 
 def test_different_units(tiles):
-    for number, unit in ((12, "m"), (13, "ft")):
-        vertices = ("vertex", ply_bytes.XYZ, ply_bytes.points(3))
-        data = ply_bytes.ply("ascii", vertices, comments=[f"comment unit {unit}"])
-        (tiles / f"tile_{number}.ply").write_bytes(data)
+    def state_units(*units):
+        for number, unit in enumerate(units, 12):
+            vertices = ("vertex", ply_bytes.XYZ, ply_bytes.points(3))
+            data = ply_bytes.ply("ascii", vertices, comments=[f"comment unit {unit}"])
+            (tiles / f"tile_{number}.ply").write_bytes(data)
+
+    state_units("ft", "feet")  # two names of one unit
+    assert open_cloud(tiles).unit == "ft"
+    state_units("m", "ft")
     for read in (read_cloud, open_cloud):
         with check_error():
             read(tiles)

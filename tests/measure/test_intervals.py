@@ -69,6 +69,13 @@ def test_few_large_values_leave_few_degrees_of_freedom():
     assert spread_of(field_with_peaks).degrees_of_freedom < 6
 
 
+@pytest.mark.parametrize("exponent", [-700, 650])  # fourth powers of the second overflow
+def test_the_unit_has_no_effect(exponent):
+    field, _ = moving_average(np.random.default_rng(1), 3)
+    spread, scaled = spread_of(field), spread_of(np.ldexp(field, exponent))
+    assert scaled == spread._replace(sigma=math.ldexp(spread.sigma, exponent))
+
+
 def test_quantiles_equal_those_of_scipy():
     for degrees_of_freedom in (2, 3, 5, 10, 30, 1e6):
         assert student_t_quantile(degrees_of_freedom) == pytest.approx(t.ppf(0.975, degrees_of_freedom), rel=0.008)

@@ -148,7 +148,7 @@ def test_identical_clouds_have_no_psnr():
     assert result.d1_psnr is None
 
 
-@pytest.mark.parametrize("name", ["nonsense", "dtu"])
+@pytest.mark.parametrize("name", ["nonsense", "dtu", "GAO25"])
 def test_an_unknown_preset_is_refused(name):
     with check_error():
         Settings(presets=(name,))

@@ -18,6 +18,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.crs import check_heights, check_lengths, crs_name, same_crs, single_unit
+from pcbench.geometry.units import unit_key
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
@@ -172,7 +173,7 @@ def check_same_system(epochs: Sequence[Epoch]) -> None:
                 f"{names}: expected one coordinate system, got {crs_name(first.cloud.crs)} and"
                 f" {crs_name(other.cloud.crs)}: convert one of them with pcbench convert"
             )
-        if first.cloud.unit and other.cloud.unit and first.cloud.unit != other.cloud.unit:
+        if first.cloud.unit and other.cloud.unit and unit_key(first.cloud.unit) != unit_key(other.cloud.unit):
             raise InputError(
                 f"{names}: expected one unit, got {first.cloud.unit} and {other.cloud.unit}: convert one of them with"
                 " pcbench convert"

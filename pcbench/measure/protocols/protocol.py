@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.regions import Region
@@ -146,7 +146,10 @@ def parse_settings(kind: type[BenchmarkProtocol], text: str) -> BenchmarkProtoco
         name, equals, value = (piece.strip() for piece in part.partition("="))
         if not equals or name not in official:
             known_names = ", ".join(official) or "none"
-            raise InputError(f"{kind.name}: expected NAME=VALUE with a name of {known_names}; got {part.strip()!r}")
+            hint = did_you_mean(name, official)
+            raise InputError(
+                f"{kind.name}: expected NAME=VALUE with a name of {known_names}; got {part.strip()!r}{hint}"
+            )
         if name in values:
             raise InputError(f"{kind.name}: expected {name} once, got it twice")
         values[name] = _parse(kind.name, name, value, official[name])

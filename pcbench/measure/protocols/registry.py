@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.measure.protocols.dtu import Dtu
 from pcbench.measure.protocols.eth3d import Eth3d
 from pcbench.measure.protocols.indoor_meshes import IndoorMeshes
@@ -22,5 +22,6 @@ def parse_protocol(text: str) -> BenchmarkProtocol:
     """
     name, _, settings = text.partition(":")
     if name not in PROTOCOLS:
-        raise InputError(f"unknown protocol {name!r}: expected one of {', '.join(PROTOCOLS)}")
+        hint = did_you_mean(name, PROTOCOLS)
+        raise InputError(f"unknown protocol {name!r}: expected one of {', '.join(PROTOCOLS)}{hint}")
     return parse_settings(PROTOCOLS[name], settings)

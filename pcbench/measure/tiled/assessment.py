@@ -119,6 +119,12 @@ class TiledSide(Side):
         return cls(aligned.surface, np.zeros(0, bool), aligned.stored.thinned, aligned, farthest)
 
     @property
+    def fresh_surface(self) -> TiledSurface:
+        """The same points and normals; what one search for changes needs of them does not stay in memory."""
+        surface = self.aligned.surface
+        return TiledSurface(surface.index.fresh("changes"), self.aligned.normal_neighbors, surface.sampling)
+
+    @property
     def corners(self) -> FloatArray:
         """Lowest and highest corner (2, 3) of the points."""
         return self.aligned.tiles.corners

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -14,13 +14,14 @@ import numpy as np
 from pcbench.deformation.polynomials import whole_normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
+from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
 from pcbench.measure.deviation import Spread
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.labels import PointLabels
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums, along_upward_normals
+from pcbench.measure.tiled.overview import OverviewSums, PixelGrid, PixelSums, along_upward_normals
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.spreads import Distribution, spread_of
 from pcbench.measure.tiled.steps import Steps, tile_tasks
@@ -73,7 +74,7 @@ class DistanceSums(NamedTuple):
     Attributes:
         totals: counts and sums for the metrics.
         near: sums over the points within the overlap distance of squared distances to planes, as `square`.
-        pixels: sums per pixel of the overview, if one is made.
+        pixels: sums of one tile per pixel of the overview, if one is made.
         squares: sums of squared distances to planes by label, as `square`.
         budget: sums of the budget, without these squares; None if there is no budget, or distances are unknown.
     """
@@ -95,7 +96,7 @@ class DistanceSums(NamedTuple):
 
     @classmethod
     def merge(cls, parts: Iterable[DistanceSums]) -> DistanceSums:
-        """Return the sums over all tiles of one or several parts, which are merged some at a time to limit memory."""
+        """Return the sums over all tiles of one or several parts, without pixels, merged some at a time."""
         merged: list[DistanceSums] = []
         for part in parts:
             merged.append(part)
@@ -112,13 +113,15 @@ class MeasuredDirection:
         stage: start of the names of its stages.
         queries: tiles of the points from which distances were measured.
         folder: folder of the distances.
-        sums: sums over all of them.
+        sums: sums over all of them, without pixels.
+        overview: raster of the distances, in local coordinates; None: none is made.
     """
 
     stage: str
     queries: TiledCloud
     folder: Path
     sums: DistanceSums
+    overview: MapOverview | None = None
 
     def files(self, column: str) -> list[Path]:
         """Return the files of a column of the distances, such as `DISTANCE`, of all tiles with points."""
@@ -145,8 +148,17 @@ def measure_tiles(
     ) -> MeasuredDirection:
         folder.mkdir(parents=True, exist_ok=True)
         tasks = tile_tasks(queries, lambda number: (file, key, number, region))
-        sums = DistanceSums.merge(steps.results(f"{stage}-{way}", function, tasks, title))
-        return MeasuredDirection(f"{stage}-{way}", queries, folder, sums)
+        raster = None if pair.pixels is None else OverviewSums(pair.pixels)
+
+        def parts() -> Iterator[DistanceSums]:
+            for part in steps.results(f"{stage}-{way}", function, tasks, title):
+                if raster is not None and part.pixels is not None:
+                    raster.add(part.pixels)
+                yield part._replace(pixels=None)
+
+        sums = DistanceSums.merge(parts())
+        overview = None if raster is None else raster.overview(np.zeros(3))
+        return MeasuredDirection(f"{stage}-{way}", queries, folder, sums, overview)
 
     return (
         measured("forth", measure_candidate_tile, pair.candidate, pair.forth, f"{name}: measuring c→r"),
@@ -171,11 +183,10 @@ def measure_spreads(steps: Steps, direction: MeasuredDirection) -> dict[str, Spr
 
 
 def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
-    pixels = [part.pixels for part in parts if part.pixels is not None]
     return DistanceSums(
         DirectionTotals.merge([part.totals for part in parts]),
         GroupSums.merge([part.near for part in parts]),
-        PixelSums.merge(pixels) if pixels else None,
+        None,
         GroupSums.merge([part.squares for part in parts]),
         reduce(add, budgets) if (budgets := [part.budget for part in parts if part.budget is not None]) else None,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,6 @@ from pcbench.io.map_tiles import map_tile_extension, write_map_tile, write_overv
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.tiled.columns import column_file, load_column
 from pcbench.measure.tiled.directions import DISTANCE, MEASURED, PLANE_DISTANCE, MeasuredDirection
-from pcbench.measure.tiled.overview import PixelGrid
 from pcbench.measure.tiled.steps import Steps, tile_tasks
 from pcbench.tasks.files import record_file
 
@@ -133,7 +133,6 @@ def write_direction(
     origin: FloatArray,
     crs: str | None,
     unit: str | None,
-    pixels: PixelGrid | None,
 ) -> None:
     """Write a map of all points, its index and its overview.
 
@@ -146,7 +145,6 @@ def write_direction(
         origin: (3,) offset that was subtracted from all coordinates.
         crs: coordinate system of the points, if known.
         unit: unit of lengths, if known.
-        pixels: grid of the overview; None: none is written.
     """
     folder, tiles = maps / f"{name}_{kind}", direction.queries
     folder.mkdir(exist_ok=True)
@@ -158,6 +156,6 @@ def write_direction(
     tasks = tile_tasks(tiles, arguments)
     steps.results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
     write_tile_index(folder, crs)
-    if pixels is not None and direction.sums.pixels is not None:
-        overview = direction.sums.pixels.overview(pixels, origin)
+    if (local := direction.overview) is not None:
+        overview = replace(local, west=local.west + float(origin[0]), north=local.north + float(origin[1]))
         write_overview(maps, name, overview, kind=kind, crs=crs, unit=unit)

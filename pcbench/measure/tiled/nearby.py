@@ -33,10 +33,8 @@ from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import read_shared, write_result
 
 # Smallest number of points kept around a place, and their ratio to those asked for: closest points move while a
-# deformation is followed. And the number of points kept in all, for the estimate of memory.
+# deformation is followed.
 _MIN_NEAR_POINTS, _NEAR_GROWTH = 16, 2
-MAX_NEAR_POINTS = 2_000_000
-"""Points of a cloud that its assessment may have in memory, unless it follows a large deformation."""
 _PLACES_AT_ONCE = 4_096  # of a task
 _CENTERS = 4  # places nearest to a query that may show that its result is complete
 _SLACK = 1e-9  # share of distances, far above their rounding
@@ -195,7 +193,8 @@ class TiledIndex(Index):
         """Return an index of the cloud after a displacement was removed; the picker picks its points."""
         name, key = f"{self._stage}-displaced", f"{self._key}{fingerprint(displacement)}"
         cloud = self._other_tiles(name, key, displace_tile, displacement)
-        return TiledIndex(cloud, cloud.folder / "cloud.tiles", picker, self._runner, name, key)
+        file = cloud.folder / "cloud.tiles"
+        return TiledIndex(cloud, file, picker, self._runner, name, key, is_reused=False)
 
     def _other_tiles(self, name: str, key: str, function: Callable[..., TileSummary], *arguments: Any) -> TiledCloud:
         """Store points of all tiles as those of another cloud, which has no normals."""
@@ -220,20 +219,26 @@ class TiledIndex(Index):
         tasks, key = self._tile_tasks(region, side, corner), f"{self._key}{side}"
         parts = [picked for _, picked in self._runner.run(stage, spread_tile, tasks, key=key, title=title)]
         rows = np.concatenate([part.rows for part in parts])
+        order = np.argsort(rows)
+        points, rows = np.concatenate([part.points for part in parts])[order], rows[order]
         classes = None
         if self.classes is not None:
-            classes = np.concatenate([part.classes for part in parts if part.classes is not None])
-        points, order = np.concatenate([part.points for part in parts]), np.argsort(rows)
-        picked = PickedPoints(points, rows, classes).select(order)
+            classes = np.concatenate([part.classes for part in parts if part.classes is not None])[order]
+        del parts  # as much memory as the points
+        picked = PickedPoints(points, rows, classes)
         return picked.select(cells(picked.points, side, corner).first)
 
     def first_in_cells(self, side: float) -> IntArray:
         """Return the numbers of the first point in each occupied cell of an edge length, in the order of rows."""
         return self.numbers_of(*self.spread(side, None, self._cloud.corners[0]))
 
-    def fresh(self) -> TiledIndex:
-        """Return an index of the same cloud with no point in memory, for places far from each other."""
-        stage = f"{self._stage}-sampling"
+    def fresh(self, name: str) -> TiledIndex:
+        """Return an index of the same cloud with no point in memory, for places far from each other.
+
+        Args:
+            name: what they are for, which is in the names of its stages.
+        """
+        stage = f"{self._stage}-{name}"
         return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
 
     def numbers_of(self, points: FloatArray, rows: IntArray, classes: NDArray[np.uint8] | None) -> IntArray:
@@ -359,7 +364,7 @@ class TiledSurface(Surface):
     @cached_property
     def sampling(self) -> Sampling:
         """Sampling of the complete cloud; what it is measured from does not stay in memory."""
-        return sampling_of(self.index.fresh())
+        return sampling_of(self.index.fresh("sampling"))
 
     def normals(self, rows: IntArray) -> FloatArray:
         """Return unit normals (M, 3) at the points with these numbers (M,): those of the cloud, or estimated ones."""
@@ -377,7 +382,8 @@ class TiledSurface(Surface):
             return fitted
         values: FloatArray = getattr(self.index, name)[rows]
         if (unknown := np.isnan(values.reshape(len(rows), -1)[:, 0])).any():  # only the points are in memory
-            self.index.query(self.index.points[rows[unknown]])
+            copies = min(_MIN_NEAR_POINTS, len(self.index))  # at one position, of which the first may be another one
+            self.index.query(self.index.points[rows[unknown]], copies)
             values = getattr(self.index, name)[rows]
             if (unknown := np.isnan(values.reshape(len(rows), -1)[:, 0])).any():  # too many points at one position
                 self._fit(rows[unknown])

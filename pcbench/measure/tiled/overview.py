@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +66,7 @@ class PixelGrid:
 
 @dataclass(frozen=True, eq=False)
 class PixelSums:
-    """Sums of distances per pixel, which can be merged in any order.
+    """Sums of the distances of a part of a map per pixel.
 
     Attributes:
         sums: sum of the distances in each pixel that has points, as `distance`.
@@ -92,25 +91,36 @@ class PixelSums:
             groups, signed = Groups.of(pixels[is_known]), signed[is_known]
         return cls(sums, largest, GroupSums.of(groups, {"signed": signed}))
 
-    @classmethod
-    def merge(cls, parts: Sequence[PixelSums]) -> PixelSums:
-        """Return the sums over all points of one or several parts."""
-        sums = GroupSums.merge([part.sums for part in parts])
-        groups = Groups.of(np.concatenate([part.sums.keys for part in parts]))
-        largest = _largest(groups, np.concatenate([part.largest for part in parts]))
-        return cls(sums, largest, GroupSums.merge([part.signed for part in parts]))
 
-    def overview(self, grid: PixelGrid, origin: FloatArray) -> MapOverview:
+class OverviewSums:
+    """Sums of the distances of all parts of a map per pixel of a grid; each part changes only its own pixels.
+
+    Args:
+        grid: the grid.
+    """
+
+    def __init__(self, grid: PixelGrid) -> None:
+        self._grid, count = grid, grid.width * grid.height
+        self._sums, self._signed = (GroupSums.empty(count, [name]) for name in ("distance", "signed"))
+        self._largest = np.zeros(count)
+
+    def add(self, part: PixelSums) -> None:
+        """Add the sums of a part."""
+        self._sums.add(part.sums)
+        self._signed.add(part.signed)
+        keys = part.sums.keys
+        self._largest[keys] = np.maximum(self._largest[keys], part.largest)
+
+    def overview(self, origin: FloatArray) -> MapOverview:
         """Return the raster, in coordinates to which `origin` (3,) was added."""
+        grid, counts = self._grid, self._sums.counts
         shape = (grid.height, grid.width)
-        signed, mean, largest = np.full((3, *shape), np.nan)
-        count = np.zeros(shape, np.int64)
-        signed.flat[self.signed.keys] = self.signed.means("signed")
-        mean.flat[self.sums.keys] = self.sums.means("distance")
-        largest.flat[self.sums.keys] = self.largest
-        count.flat[self.sums.keys] = self.sums.counts
+        with np.errstate(invalid="ignore"):  # 0 / 0 is NaN: there are no points
+            signed, mean = self._signed.means("signed"), self._sums.means("distance")
+        largest = np.where(counts > 0, self._largest, np.nan)
         west, north = grid.west + float(origin[0]), grid.south + grid.height * grid.pixel + float(origin[1])
-        return MapOverview(signed[::-1], mean[::-1], largest[::-1], count[::-1], west, north, grid.pixel)
+        signed, mean, largest = (values.reshape(shape)[::-1] for values in (signed, mean, largest))
+        return MapOverview(signed, mean, largest, counts.reshape(shape)[::-1], west, north, grid.pixel)
 
 
 def along_upward_normals(planes: FloatArray, normals: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +29,11 @@ _BYTES_PER_POINT = 350  # memory of a worker for each point of a tile, measured:
 _BYTES_PER_PIECE_POINT = 200  # memory of a worker for each point of a piece that it reads and sorts
 # Measured memory of all processes on Linux, where processes share the pages of code.
 _MAIN_BYTES = 120_000_000  # this process without data
-_SAMPLE_BYTES_PER_POINT = 100  # this process, for each point of the samples
+_SAMPLE_BYTES_PER_POINT = 100  # this process, for each point of the samples from which a pose is found
+_ASSESSING_BYTES = 190_000_000  # this process while it tests for deformation, without the points around its queries
+_NEAR_BYTES_PER_POINT = 165  # for each of these points
+_MOST_NEAR_POINTS = (1_000_000, 300_000)  # around the queries, of the larger and of the smaller cloud
+_MOST_MAIN_BYTES = _ASSESSING_BYTES + _NEAR_BYTES_PER_POINT * sum(_MOST_NEAR_POINTS)
 _WORKER_BYTES = 35_000_000  # a worker without data
 _DRAWING_BYTES = 145_000_000  # the process that draws pictures, after the workers have ended
 _MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
@@ -107,10 +112,11 @@ class TilingSettings:
 
     @property
     def chosen_tile_points(self) -> int:
-        """Largest number of points of a tile, as given or so that workers and this process share the memory."""
+        """Largest number of points of a tile, as given or so that workers fit into the memory beside this process."""
         if self.tile_points is not None:
             return self.tile_points
-        free = self.memory / (1 + (self.workers or cpu_count())) - _BASE_BYTES
+        workers = self.workers or cpu_count()
+        free = (self.memory - max(self.memory / (1 + workers), _MOST_MAIN_BYTES)) / workers - _BASE_BYTES
         return int(min(max(free / _BYTES_PER_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
 
     @property
@@ -119,20 +125,23 @@ class TilingSettings:
         per_worker = self.memory / (1 + (self.chosen_workers or 1)) - _BASE_BYTES
         return int(min(max(per_worker / _BYTES_PER_PIECE_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
 
-    def least_memory(self, sample_points: int, largest_piece: int, *, draws: bool = False) -> int:
+    def least_memory(self, sample_points: int, counts: Sequence[int], largest_piece: int, *, draws: bool) -> int:
         """Return about how many bytes all processes need at least, whatever `memory` says.
 
         Args:
-            sample_points: number of points of all samples in this process.
+            sample_points: number of points of the samples from which a pose is found.
+            counts: number of points of the reference and of the largest candidate.
             largest_piece: number of points of the largest piece, which may be a whole file.
             draws: whether pictures are drawn.
         """
         workers = 0 if self.cluster is not None else self.workers or 1
         tile = _BYTES_PER_POINT * (self.tile_points or _MIN_DEFAULT_TILE_POINTS)
-        samples = _SAMPLE_BYTES_PER_POINT * sample_points
-        reading = workers * (_WORKER_BYTES + _BYTES_PER_PIECE_POINT * largest_piece)
-        measuring = samples + workers * (_WORKER_BYTES + tile)
-        return _MAIN_BYTES + max(reading, measuring, samples + _DRAWING_BYTES if draws else 0)
+        near = sum(map(min, sorted(counts, reverse=True), _MOST_NEAR_POINTS))
+        registering = _MAIN_BYTES + _SAMPLE_BYTES_PER_POINT * sample_points
+        assessing = _ASSESSING_BYTES + _NEAR_BYTES_PER_POINT * near
+        reading = _MAIN_BYTES + workers * (_WORKER_BYTES + _BYTES_PER_PIECE_POINT * largest_piece)
+        measuring = max(registering, assessing) + workers * (_WORKER_BYTES + tile)
+        return max(reading, measuring, registering + _DRAWING_BYTES if draws else 0)
 
     @property
     def chosen_workers(self) -> int | None:
@@ -140,7 +149,7 @@ class TilingSettings:
         if self.workers is not None or self.cluster is not None:
             return self.workers
         per_worker = _BASE_BYTES + _BYTES_PER_POINT * self.chosen_tile_points
-        return max(1, min(cpu_count(), self.memory // per_worker - 1))
+        return max(1, min(cpu_count(), (self.memory - max(per_worker, _MOST_MAIN_BYTES)) // per_worker))
 
 
 def parse_points(flag: str, text: str) -> int:

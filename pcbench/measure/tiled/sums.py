@@ -93,11 +93,30 @@ class GroupSums:
             counts[rows] += part.counts
         limbs = {}
         for name in parts[0].limbs:
-            total = np.zeros((len(groups.keys), _LIMBS), np.int64)
-            for part, rows in zip(parts, places, strict=True):
-                total[rows] += _with_signed_top(part.limbs[name])
-            limbs[name] = _carry(total)
+            limbs[name] = np.empty((len(groups.keys), _LIMBS), np.uint32)
+            carried = np.zeros(len(groups.keys), np.int64)
+            for k in range(_LIMBS):  # one at a time: as 64-bit integers all would take twice as much memory
+                for part, rows in zip(parts, places, strict=True):
+                    carried[rows] += _signed(part.limbs[name], k)
+                limbs[name][:, k] = carried & 0xFFFFFFFF
+                top, carried = carried, carried >> 32
+            _check_top(top)
         return cls(groups.keys, counts, limbs)
+
+    @classmethod
+    def empty(cls, count: int, names: Sequence[str]) -> GroupSums:
+        """Return the sums of no values over groups 0 to `count` - 1, to which `add` adds those of parts."""
+        limbs = {name: np.zeros((count, _LIMBS), np.uint32) for name in names}
+        return cls(np.arange(count), np.zeros(count, np.int64), limbs)
+
+    def add(self, part: GroupSums) -> None:
+        """Add the sums of a part in place, to sums over groups 0 to K - 1: only the groups of the part are computed."""
+        keys = part.keys
+        before = GroupSums(keys, self.counts[keys], {name: limbs[keys] for name, limbs in self.limbs.items()})
+        total = GroupSums.merge([before, part])
+        self.counts[keys] = total.counts
+        for name, limbs in self.limbs.items():
+            limbs[keys] = total.limbs[name]
 
     @property
     def count(self) -> int:
@@ -117,8 +136,8 @@ class GroupSums:
 
     def exact_total(self, name: str) -> Fraction:
         """Return the sum over all groups as an exact fraction."""
-        digits = _with_signed_top(self.limbs[name]).sum(axis=0)
-        return Fraction(sum(int(digit) << 32 * k for k, digit in enumerate(digits)), 1 << _FRACTION_BITS)
+        digits = [int(_signed(self.limbs[name], k).sum()) for k in range(_LIMBS)]
+        return Fraction(sum(digit << 32 * k for k, digit in enumerate(digits)), 1 << _FRACTION_BITS)
 
     def total(self, name: str) -> float:
         """Return the sum over all groups, rounded once: the nearest double."""
@@ -144,14 +163,16 @@ def _carry(limbs: IntArray) -> NDArray[np.uint32]:
     """Return sums (K, 8) with digits of 32 bits, from limbs of any size, which are changed."""
     for k in range(_LIMBS - 1):
         limbs[:, k + 1] += limbs[:, k] >> 32
-    top = limbs[:, -1]
-    if len(top) and max(top.max(), -top.min()) >= 1 << 31:
-        raise InputError("expected sums below 1e38 in magnitude, got larger ones")
+    _check_top(limbs[:, -1])
     return limbs.astype(np.uint32)
 
 
-def _with_signed_top(limbs: NDArray[np.uint32]) -> IntArray:
-    """Return limbs (K, 8) as integers that can be added: only the last one of a sum has a sign."""
-    signed = limbs.astype(np.int64)
-    signed[:, -1] = limbs[:, -1].astype(np.int32)
-    return signed
+def _check_top(limbs: IntArray) -> None:
+    """Check the last limbs (K,) of sums, with all that was carried to them."""
+    if len(limbs) and max(limbs.max(), -limbs.min()) >= 1 << 31:
+        raise InputError("expected sums below 1e38 in magnitude, got larger ones")
+
+
+def _signed(limbs: NDArray[np.uint32], k: int) -> IntArray:
+    """Return limb k (K,) of sums as integers that can be added: only the last one has a sign."""
+    return (limbs[:, k].astype(np.int32) if k == _LIMBS - 1 else limbs[:, k]).astype(np.int64)

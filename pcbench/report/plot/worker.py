@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from pcbench.errors import PcbenchError
+from pcbench.errors import PcbenchError, did_you_mean
 from pcbench.report.figures import FORMATS, Figures
 from pcbench.report.manifest import check_figures_folder
 from pcbench.report.plot import Picture
@@ -41,7 +41,8 @@ def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ())
     pictures: Mapping[str, Picture] = getattr(import_module(module), name)(folder, look)
     requested = [_split(name, pictures, look) for name in wanted]
     if unknown := [name for name, _ in requested if name not in pictures]:
-        raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
+        hint = did_you_mean(unknown[0], pictures)
+        raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}{hint}")
     (folder / "figures").mkdir(exist_ok=True)
     written = []
     with drawing_style(look):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
@@ -46,7 +46,7 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
         InputError: there is no such rig, or the count is less than 1.
     """
     if name not in RIGS:
-        raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}")
+        raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}{did_you_mean(name, RIGS)}")
     if count < 1:
         raise InputError(f"expected at least 1 image, got {count}")
     poses = RIGS[name](count, site, intrinsics)

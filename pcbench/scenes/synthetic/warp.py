@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
@@ -179,7 +179,7 @@ def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | Non
             points completely, such as a shear by height of points at the same height.
     """
     if kind not in _FIELDS:
-        raise InputError(f"unknown kind of warp {kind!r}: choose one of {', '.join(KINDS)}")
+        raise InputError(f"unknown kind of warp {kind!r}: choose one of {', '.join(KINDS)}{did_you_mean(kind, KINDS)}")
     if not 0 < rms <= MAX_COORDINATE:
         raise InputError(f"expected a positive RMS of the deformation up to {MAX_COORDINATE:g}, got {rms:g}")
     low, high = points.min(axis=0), points.max(axis=0)

@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.contents import digest
 from pcbench.report.document import provenance
@@ -86,7 +86,8 @@ class StressPlan:
         ladders = selected(settings.only, quick=settings.quick)
         available = [name for subject in PAIR_SUBJECTS.values() for name in subject.methods]
         if unknown := [name for name in settings.methods if name not in available]:
-            raise InputError(f"unknown method {unknown[0]!r}: expected one of {', '.join(available)}")
+            hint = did_you_mean(unknown[0], available)
+            raise InputError(f"unknown method {unknown[0]!r}: expected one of {', '.join(available)}{hint}")
         missing: list[MissingMethod] = []
         methods: dict[str, tuple[str, ...]] = {}
         for subject in PAIR_SUBJECTS.values():

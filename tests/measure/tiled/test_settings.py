@@ -11,7 +11,7 @@ from pcbench.measure.tiled.settings import TilingSettings, parse_bytes
 
 
 def test_tiles_and_pieces_follow_the_memory():
-    found = [TilingSettings(memory=parse_bytes(text), workers=2) for text in ("60MB", "400MB", "700MB", "64GB")]
+    found = [TilingSettings(memory=parse_bytes(text), workers=2) for text in ("60MB", "700MB", "900MB", "64GB")]
     for sizes in ([s.chosen_piece_points for s in found], [s.chosen_tile_points for s in found]):
         assert sizes[0] == 20_000 < sizes[1] < sizes[2] < sizes[3] == 1_000_000
 
@@ -30,15 +30,13 @@ def test_a_budget_that_is_too_small_is_said_once_with_the_least_that_works(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("workers", "samples", "largest_piece", "draws", "measured_mb"),
-    [  # peaks (PSS) of all processes at --memory 60MB
-        (1, 900_000, 20_000, False, 243),
-        (2, 900_000, 20_000, False, 280),
-        (1, 900_000, 500_000, False, 290),  # a text file, which has no pieces
-        (1, 300_000, 20_000, False, 183),
-        (1, 900_000, 20_000, True, 352),
-    ],
+    ("workers", "count", "measured_mb"),
+    [(1, 300_000, 343), (1, 1_000_000, 397), (1, 3_000_000, 464)],
 )
-def test_the_least_memory_is_what_was_measured(workers, samples, largest_piece, draws, measured_mb):
-    least = TilingSettings(memory=60_000_000, workers=workers).least_memory(samples, largest_piece, draws=draws)
-    assert least == pytest.approx(measured_mb * 1e6, rel=0.15)
+def test_the_least_memory_is_what_was_measured(workers, count, measured_mb):
+    """Peaks (PSS) of all processes with too little memory, of two clouds of that many points."""
+    in_windows = min(count, 400_000) + min(count, 800_000)
+    tiling = TilingSettings(memory=60_000_000, workers=workers)
+    assert tiling.least_memory(in_windows, (count, count), 20_000, draws=True) == pytest.approx(
+        measured_mb * 1e6, rel=0.15
+    )

@@ -154,3 +154,12 @@ def test_kernels_refuse_arrays_that_do_not_fit():
         _core.add_exactly(np.ones(2), np.array([0]), limbs)
     with pytest.raises(ValueError, match="one result per sum"):
         _core.round_exactly(np.zeros((2, 8), np.uint32), np.empty(1))
+
+
+def test_parts_are_added_in_place():
+    rng = np.random.default_rng(3)
+    keys, values = rng.integers(0, 7, 300), rng.normal(size=300) * 10.0 ** rng.integers(-30, 25, 300)
+    total = GroupSums.empty(7, ["v"])
+    for part in np.array_split(np.arange(300), 40):
+        total.add(GroupSums.of(keys[part], {"v": values[part]}))
+    assert same(total, GroupSums.of(keys, {"v": values}))

@@ -1,6 +1,9 @@
 """Matching: the matches do not depend on how the work is split."""
 
+import os
 import sqlite3
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -99,3 +102,14 @@ def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, c
     with check_error(ReconstructionError):
         _match_and_read(features, scene, tmp_path)
     assert "Check failed" in capfd.readouterr().err  # COLMAP's message
+
+
+def test_the_log_leaves_no_files(tmp_path):
+    """COLMAP's logger chooses its folder when it first writes, so a fresh process logs an error."""
+    code = "from reconstructors.sfm.log import log_without_files; log_without_files(); import pycolmap"
+    code += "; pycolmap.logging.error('lost')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, capture_output=True, check=True
+    )
+    assert b"lost" in done.stderr
+    assert not list(tmp_path.iterdir())
