@@ -125,13 +125,13 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
     """Create a temporary folder; it is removed at the end unless it was renamed.
 
     Args:
-        output: path to which the folder may be renamed; it is created beside it. None: a private folder in the
-            system's temporary directory.
+        output: path to which the folder may be renamed; it is created beside it, or beside what it links to, which may
+            be on another disk. None: a private folder in the system's temporary directory.
 
     Raises:
         OSError: it cannot be created or written; the error names the output.
     """
-    parent = Path(tempfile.gettempdir()) if output is None else output.absolute().parent
+    parent = Path(tempfile.gettempdir()) if output is None else output.resolve().parent
     remove_leftovers(parent)
     path = parent / f"{_OWN_PREFIX}{secrets.token_hex(8)}"
     with attribute_errors_to(output or path, path):

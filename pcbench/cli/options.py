@@ -30,7 +30,7 @@ from pcbench.options import (
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-FILE = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, readable=False)  # their readers say what is wrong, and go on with other files
 
 
 class FiniteRange(click.FloatRange):

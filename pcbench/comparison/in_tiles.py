@@ -68,6 +68,9 @@ from pcbench.measure.tiled.tiles import TiledCloud, TileSummary
 from pcbench.registration import Registration
 from pcbench.tasks import TaskRunner, Workers
 
+SAMPLED_REGION = "sampled-region"
+"""Code of the warning that the region was found from a sample of the reference."""
+
 
 def compare_in_tiles(
     clouds: CloudsOnDisk,
@@ -212,8 +215,20 @@ class ReferenceInTiles:
             faces=None,
             block_side=prepared.grid.side,
             voxel_side=prepared.voxel,
-            warnings=(*sample.warnings, *_reader_warnings(stored)),
+            warnings=(*sample.warnings, *_reader_warnings(stored), *self._region_warnings()),
         )
+
+    def _region_warnings(self) -> list[Notice]:
+        """Return a warning if the region follows from a sample of the points, and so may differ from that in memory."""
+        crop, stored = self.tasks.settings.crop, self.prepared.stored
+        if (
+            not isinstance(crop, str)
+            or not crop.strip().lower().startswith("quantile")
+            or len(stored.even) == stored.count
+        ):
+            return []
+        text = f"the sphere of --crop {crop} is that of {len(stored.even):,} of {stored.count:,} points, evenly chosen"
+        return [Notice(SAMPLED_REGION, f"{text}; a comparison in memory uses all")]
 
     def describe_tiling(self) -> Tiling:
         """Describe how the comparison was computed, after its candidates were compared."""

@@ -31,6 +31,7 @@ from pcbench.geometry.transform import Affine
 from pcbench.geometry.units import metres, unit_of_length
 
 Warn = Callable[[str], None]
+_MAX_ROUNDING_SHARE = 1e-6  # of the extent, up to which the rounding of shifted coordinates is not worth a warning
 
 
 def state_crs(cloud: Cloud, crs: str, warn: Warn) -> Cloud:
@@ -172,7 +173,8 @@ def shift_coordinates(cloud: Cloud, offset: Sequence[float], warn: Warn) -> Clou
     Args:
         cloud: the cloud.
         offset: numbers to add to x, y and z.
-        warn: called with one line if the file states a CRS, in which the new coordinates are not.
+        warn: called with one line if the file states a CRS, in which the new coordinates are not, and if they are so
+            large that rounding shows.
 
     Raises:
         InputError: these are not three finite numbers.
@@ -181,7 +183,13 @@ def shift_coordinates(cloud: Cloud, offset: Sequence[float], warn: Warn) -> Clou
         raise InputError(f"expected a shift of three finite numbers, got {', '.join(f'{x:g}' for x in offset)}")
     if cloud.crs is not None:
         warn(f"left out the system {crs_name(cloud.crs)}, which the file states and shifted coordinates are not in")
-    return replace(cloud, points=cloud.points + np.asarray(offset), crs=None)
+    shifted = replace(cloud, points=cloud.points + np.asarray(offset), crs=None)
+    rounding = float(np.spacing(np.abs(shifted.points).max(initial=0.0)))
+    low, high = cloud.bounds
+    extent = float((high - low).max())
+    if 0 < _MAX_ROUNDING_SHARE * extent < rounding:
+        warn(f"shifted coordinates are so large that they are rounded to {rounding:.2g}: check the shift")
+    return shifted
 
 
 def _check_degrees(cloud: Cloud, crs: str) -> None:

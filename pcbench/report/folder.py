@@ -63,11 +63,12 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     if out.is_dir() and any(out.iterdir()) and not is_report(out):
         raise InputError(f"{out}: the folder is not empty and has no report: choose another folder, or empty it")
     check_figures_folder(out)
-    created = make_parents(out.absolute().parent)
+    target = out.resolve() if out.is_symlink() else out
+    created = make_parents(target.absolute().parent)
     try:
         with lock_output(out), scratch_folder(out) as scratch:
             yield scratch
-            replace_report(scratch, out)
+            replace_report(scratch, target)
     except BaseException:
         remove_empty(created)
         raise

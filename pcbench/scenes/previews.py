@@ -120,6 +120,10 @@ def read_preview(folder: Path) -> Preview:
         preview = Preview(**document, history=tuple(Progress(**row) for row in history))
         if not preview.history:
             raise ValueError("no state")
+        for row in preview.history:
+            numbers = (preview.steps, *row._replace(held_out_psnr=row.held_out_psnr or 0.0))
+            if not all(isinstance(number, int | float) for number in numbers):
+                raise TypeError("no number")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -1,7 +1,9 @@
 """`pcbench info`, `crop`, `register` and `convert`."""
 
 import json
+import os
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,10 +147,19 @@ def test_a_terminal_shows_the_steps(files, monkeypatch, module, command, steps):
     assert all(step.expected > 0 for step in messages)
 
 
-def test_info_describes_the_files_after_a_bad_one(files, run):
+def test_info_describes_the_files_after_a_bad_one(files, run, monkeypatch):
+    def open_unless_locked(path, *mode, **how):
+        if path.name == "locked.ply":  # as for others than the administrator
+            raise PermissionError(13, "Permission denied", str(path))
+        return opened(path, *mode, **how)
+
     (files / "empty.ply").touch()
-    code, out, err = run("info", "none.ply", "empty.ply", "a.ply")
+    (files / "locked.ply").write_bytes((files / "a.ply").read_bytes())
+    opened = Path.open
+    monkeypatch.setattr(Path, "open", open_unless_locked)
+    monkeypatch.setattr(os, "access", lambda path, *_: Path(path).name != "locked.ply")
+    code, out, err = run("info", "none.ply", "empty.ply", "locked.ply", "a.ply")
     assert code == 2
     assert out.startswith("a.ply: ")
-    assert [line.split(":")[1] for line in err.splitlines()] == [" none.ply", " empty.ply"]
+    assert [line.split(":")[1] for line in err.splitlines()] == [" none.ply", " empty.ply", " locked.ply"]
     check_text(err)

@@ -153,6 +153,8 @@ def test_shifted_splats_stay_splats(tmp_path, run):
     cloud = read_cloud(tmp_path / "a.splat")
     np.testing.assert_array_equal(np.sort(cloud.points, axis=0), splats.points - [0, 0, 1])
     assert len(splat_model(cloud).opacities) == 5
+    err = run("convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--shift", "1e12,0,0")[2]
+    assert "rounded to 0.00012" in err
     for wrong in ("1,2", "1,2,nan"):
         assert run("convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--shift", wrong)[0] == 2
 

@@ -148,6 +148,15 @@ def test_a_file_of_the_user_in_the_way_is_refused(tmp_path):
     assert read_files(tmp_path / "report") == OLD_FILES
 
 
+def test_a_link_leads_to_the_report(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "disk/report")
+    for files in (OLD_FILES, NEW_FILES):
+        with report_folder(tmp_path / "link") as folder:
+            assert folder.parent == tmp_path / "disk"  # a folder is only renamed on one disk
+            write(folder, files)
+        assert (tmp_path / "link").is_symlink() and read_files(tmp_path / "disk/report") == files
+
+
 def test_linked_figures_are_refused(tmp_path):
     save(tmp_path / "report", OLD_FILES)
     write(tmp_path / "pictures", {"a.png": "mine", "b.png": "mine"})

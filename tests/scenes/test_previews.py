@@ -23,7 +23,12 @@ def test_a_preview_is_read_as_written(tmp_path):
     check_text(preview_of((10,), held_out=False).sentence)
 
 
-@pytest.mark.parametrize("change", [{"schema": "x"}, {"history": []}, {"history": [{"step": 1}]}, {"steps": None}])
+TEXTS = dict.fromkeys(("done", "step", "loss", "psnr", "held_out_psnr", "gaussians"), "x")
+
+
+@pytest.mark.parametrize(
+    "change", [{"schema": "x"}, {"history": []}, {"history": [{"step": 1}]}, {"steps": None}, {"history": [TEXTS]}]
+)
 def test_a_damaged_preview_is_one_line(tmp_path, change):
     folder = write_preview_folder(tmp_path, (10,))
     document = json.loads((folder / DOCUMENT).read_text()) | change

@@ -27,6 +27,7 @@ _MIN_TILE_POINTS = 100
 _BASE_BYTES = 100 << 20  # memory of a worker without data, measured: 75 MiB
 _BYTES_PER_POINT = 350  # memory of a worker for each point of a tile, measured: 250, more with wide halos
 _BYTES_PER_PIECE_POINT = 200  # memory of a worker for each point of a piece that it reads and sorts
+_BYTES_PER_STORED_POINT = 80  # memory of a worker for each point of a piece that it reads again, once it is sorted
 # Measured memory of all processes on Linux, where processes share the pages of code.
 _MAIN_BYTES = 120_000_000  # this process without data
 _SAMPLE_BYTES_PER_POINT = 100  # this process, for each point of the samples from which a pose is found
@@ -38,6 +39,7 @@ _WORKER_BYTES = 35_000_000  # a worker without data
 _DRAWING_BYTES = 145_000_000  # the process that draws pictures, after the workers have ended
 _MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
 _MIN_DEFAULT_TILE_POINTS = 20_000
+_FEW_PIECE_POINTS = 100_000  # smaller pieces save little memory, and each tile may have points of all of them
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,10 @@ class TilingSettings:
     @property
     def chosen_piece_points(self) -> int:
         """Largest number of points that a worker reads at once, if the format of the file allows it."""
-        per_worker = self.memory / (1 + (self.chosen_workers or 1)) - _BASE_BYTES
-        return int(min(max(per_worker / _BYTES_PER_PIECE_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
+        workers = self.chosen_workers or 1
+        first = (self.memory / (1 + workers) - _BASE_BYTES) / _BYTES_PER_PIECE_POINT
+        later = ((self.memory - _MOST_MAIN_BYTES) / workers - _WORKER_BYTES) / _BYTES_PER_STORED_POINT
+        return int(min(max(min(first, max(later, _FEW_PIECE_POINTS)), _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
 
     def least_memory(self, sample_points: int, counts: Sequence[int], largest_piece: int, *, draws: bool) -> int:
         """Return about how many bytes all processes need at least, whatever `memory` says.

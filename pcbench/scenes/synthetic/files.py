@@ -170,9 +170,9 @@ def _new_folder(out: Path) -> Iterator[Path]:
         raise InputError(f"{out}: expected a folder to write the scene to, got a file")
     if out.is_dir() and any(out.iterdir()):
         raise InputError(f"{out}: expected an empty folder, got one with files; choose another one, or empty it")
-    parent = out.absolute().parent
+    parent = out.resolve().parent
     if not parent.is_dir():
         raise InputError(f"{out}: expected an existing parent folder, got {parent}; create it first")
     with lock_output(out), scratch_folder(out) as scratch:
         yield scratch
-        scratch.replace(out.absolute())
+        scratch.replace(out.resolve())

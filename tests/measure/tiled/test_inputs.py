@@ -8,8 +8,9 @@ import pytest
 from las_tiles import write_tiles
 from tiled_clouds import in_this_process
 from tiled_pairs import Pair, check_equal, noisy, surface
-from wording import check_error
+from wording import check_error, check_text
 
+from pcbench.comparison.in_tiles import SAMPLED_REGION
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.measure.results import LeftOut
@@ -106,6 +107,18 @@ def test_two_candidates_may_have_equal_file_names(tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         pair.paths[name] = pair.paths[name].rename(tmp_path / name / "cloud.ply")
     check_equal(pair.tiled(), pair.memory())
+
+
+def test_a_region_from_a_sample_is_said(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    rng = np.random.default_rng(0)
+    points = surface(rng, 900)
+    pair = Pair(tmp_path / "pair", points, noisy(rng, points), crop="quantile:0.9", deformation=False)
+    for even, codes in ((900, []), (300, [SAMPLED_REGION])):
+        monkeypatch.setattr("pcbench.measure.tiled.stored.EVEN_POINTS", even)
+        reference = pair.tiled(work=f"work-{even}").reference
+        assert [notice.code for notice in reference.warnings if notice.code == SAMPLED_REGION] == codes
+    check_text(*(notice.text for notice in reference.warnings if notice.code == SAMPLED_REGION))
 
 
 def test_a_full_disk_names_the_file(pair, monkeypatch):
