@@ -33,7 +33,7 @@ _ANGLES_DEG = (5.0, 45.0)  # smaller and larger angles count like these
 _WINDOW_SIDES_PX = (3, 9)  # at the pixel, and the matcher's window
 _MAX_TEXTURE_TO_NOISE = 100.0  # ratio of variances; more texture counts like this
 # Of the cues of `depth_cues` in the log odds: python benchmarks/mvs_confidence.py --seeds 1-3 --fit
-_WEIGHTS = (-1.96, 0.77, -1.75, 0.47, -0.31)
+_WEIGHTS = (-2.13, 0.8, -2.19, 0.59, -0.41)
 
 
 def depth_percents(
