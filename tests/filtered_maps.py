@@ -9,6 +9,7 @@ from PIL import Image
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.plugins.stages import stage
 from reconstructors.mvs.blocks import FilteredImage
+from reconstructors.mvs.confidence import depth_percents
 from reconstructors.mvs.filter import Criteria, filter_map
 from reconstructors.mvs.fusion import sample_overlap
 from reconstructors.mvs.maps import write_map
@@ -33,16 +34,18 @@ def filter_maps(folder, cameras, maps, image=None) -> dict[str, FilteredImage]:
         counts = np.where(kept.known, 1 + agreement.sum(axis=0), 0).astype(np.uint8)
         grey = np.full((camera.intrinsics.height, camera.intrinsics.width, 3), 10 + k, np.uint8)
         photograph = grey if image is None else image(camera)
+        percents = depth_percents(camera, kept, agreement, [cameras[j] for j in others], photograph[..., 0])
 
-        def make(path: Path, kept=kept, counts=counts, photograph=photograph) -> None:
+        def make(path: Path, kept=kept, counts=counts, photograph=photograph, percents=percents) -> None:
             write_map(path, kept)
             np.save(path / "views.npy", counts)
+            np.save(path / "percents.npy", percents)
             Image.fromarray(photograph).save(path / "image.png")
 
         path = stage(folder, f"map{k}", {"depths": float(kept.depth.sum())}, make)
         overlap = sample_overlap(camera, kept, agreement, [cameras[j].name for j in others])
         filtered[camera.name] = FilteredImage(
-            camera, path / "image.png", path, path / "views.npy", overlap, int(kept.known.sum())
+            camera, path / "image.png", path, path / "views.npy", path / "percents.npy", overlap, int(kept.known.sum())
         )
     return filtered
 

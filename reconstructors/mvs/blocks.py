@@ -26,10 +26,12 @@ from pcbench.plugins.progress import progress
 from pcbench.plugins.stages import stage
 from reconstructors.mvs.bundled import stage_digest
 from reconstructors.mvs.cells import SpaceCell, bounding_cell, split_space
+from reconstructors.mvs.confidence import CONFIDENCE
 from reconstructors.mvs.filter import Criteria, world_points
 from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.fusion import (
     FUSED,
+    VIEWS,
     OverlapSamples,
     build_tracks,
     count_fused,
@@ -57,6 +59,7 @@ class FilteredImage(NamedTuple):
         photograph: file of the undistorted photograph.
         map: folder of the map.
         counts: .npy file with the number (H, W) of images that agree at each pixel.
+        percents: .npy file with the confidence (H, W) of each depth in percent.
         overlap: samples of the points of the map.
         depths: number of depths of the map.
     """
@@ -65,6 +68,7 @@ class FilteredImage(NamedTuple):
     photograph: Path
     map: Path
     counts: Path
+    percents: Path
     overlap: OverlapSamples
     depths: int
 
@@ -113,7 +117,7 @@ def fuse_blocks(
     if not filled:
         raise ReconstructionError(
             "fusion produced no points: no depth is confirmed by enough images. Take more images with more overlap,"
-            " check the cameras, or lower --set confidence or --set views"
+            " check the cameras, or lower --set correlation or --set views"
         )
     if len(filled) == 1:
         return flatten(_read_block(filled[0], images, min_views))
@@ -195,8 +199,10 @@ def _own_depths(images: Mapping[str, FilteredImage], cell: SpaceCell, folder: Pa
 
 def _read_block(folder: Path, images: Mapping[str, FilteredImage], min_views: int) -> Cloud:
     names = json.loads((folder / _NAMES_FILE).read_text(encoding="utf-8"))
-    cameras, counts = ({name: getattr(images[name], part) for name in names} for part in ("camera", "counts"))
-    return read_fused(folder / FUSED, cameras, counts, min_views)
+    cameras, counts, percents = (
+        {name: getattr(images[name], part) for name in names} for part in ("camera", "counts", "percents")
+    )
+    return read_fused(folder / FUSED, cameras, counts, percents, min_views)
 
 
 def _smooth_blocks(stages: Sequence[Path], images: Mapping[str, FilteredImage], margin: float, min_views: int) -> Cloud:
@@ -210,7 +216,8 @@ def _smooth_blocks(stages: Sequence[Path], images: Mapping[str, FilteredImage], 
     """
     starts = np.cumsum([0, *(count_fused(folder / FUSED) for folder in stages)])
     points, normals = np.empty((starts[-1], 3)), np.empty((starts[-1], 3))
-    colors, views = np.empty((starts[-1], 3), np.uint8), np.empty(starts[-1], np.int32)
+    colors = np.empty((starts[-1], 3), np.uint8)
+    attributes = {VIEWS: np.empty(starts[-1], np.int32), CONFIDENCE: np.empty(starts[-1], np.float32)}
     bounds = [bounding_cell(read_cloud(folder / FUSED, on_warning=lambda _: None).points) for folder in stages]
     for k, (folder, start) in enumerate(zip(stages, starts, strict=False)):
         progress(f"smoothing: block {k + 1} of {len(stages)}")
@@ -224,8 +231,11 @@ def _smooth_blocks(stages: Sequence[Path], images: Mapping[str, FilteredImage], 
         assert smooth.normals is not None and smooth.colors is not None
         rows = slice(start, start + len(cloud))
         points[rows], normals[rows], colors[rows] = smooth.points, smooth.normals, smooth.colors
-        views[rows] = smooth.attributes["views"]
-    return Cloud(freeze(points), freeze(normals), freeze(colors), {"views": freeze(views)})
+        for name, values in attributes.items():
+            values[rows] = smooth.attributes[name]
+    return Cloud(
+        freeze(points), freeze(normals), freeze(colors), {name: freeze(values) for name, values in attributes.items()}
+    )
 
 
 def _crop(fused: Path, cell: SpaceCell) -> Cloud | None:

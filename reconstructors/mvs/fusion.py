@@ -24,10 +24,12 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import read_cloud
 from pcbench.io.meshes import read_mesh
 from pcbench.io.ply import write_ply_mesh
+from reconstructors.mvs.confidence import CONFIDENCE
 from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import DEPTH, NORMAL, DepthMap
 from reconstructors.sfm.model import check_written, truncated_output_error
 
+VIEWS = "views"  # attribute of a cloud: number of images that agree on a point
 FUSED = "fused.ply"  # in the folder of the stage, with the images of each point in fused.ply.vis
 
 _OVERLAP_SAMPLES_PER_SIDE = 24  # samples along the longer side of a map that show which images overlap
@@ -187,15 +189,23 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: 
         raise truncated_output_error(out) from error
 
 
-def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], min_views: int) -> Cloud:
-    """Read a fused cloud with points in the workspace's frame, with normals, colours and the attribute `views`.
+def read_fused(
+    path: Path,
+    cameras: Mapping[str, Camera],
+    counts: Mapping[str, Path],
+    percents: Mapping[str, Path],
+    min_views: int,
+) -> Cloud:
+    """Read a fused cloud with points in the workspace's frame, with normals, colours, `views` and `confidence`.
 
     `views` is the number of images that agree on a point: the largest count of the filter at the point's pixels.
+    `confidence` is the mean at these pixels, from 0 to 1.
 
     Args:
         path: the fused .ply file.
         cameras: pinholes by image name, in the order of the workspace.
         counts: .npy files by image name with the number (H, W) of images that agree at each pixel.
+        percents: .npy files by image name with the confidence (H, W) of each depth in percent; 0 without a depth.
         min_views: minimum number of images that agree on a point, by the filter's criteria.
 
     """
@@ -203,13 +213,17 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
     cloud = read_cloud(path, on_warning=lambda _: None)
     # The median of merged pixels may fall into a neighbouring pixel without a depth.
     views = np.full(len(cloud), min_views, dtype=np.int32)
+    percent_sums, depths = np.zeros(len(cloud), dtype=np.int64), np.zeros(len(cloud), dtype=np.int64)
     for k, (name, camera) in enumerate(cameras.items()):
-        here, count = point[image == k], np.load(counts[name])
+        here, count, percent = point[image == k], np.load(counts[name]), np.load(percents[name])
         u, v = camera.project(cloud.points[here])[0].T
         row = np.clip(v, 0, count.shape[0] - 1).astype(np.int64)
         column = np.clip(u, 0, count.shape[1] - 1).astype(np.int64)
         views[here] = np.maximum(views[here], count[row, column])
-    return replace(cloud, attributes={"views": views})
+        percent_sums[here] += percent[row, column]
+        depths[here] += count[row, column] > 0
+    confidence = (percent_sums / (100 * np.maximum(depths, 1))).astype(np.float32)
+    return replace(cloud, attributes={VIEWS: views, CONFIDENCE: confidence})
 
 
 def count_fused(path: Path) -> int:

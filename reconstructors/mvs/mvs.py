@@ -18,6 +18,7 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cameras import Camera, Intrinsics
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
@@ -30,6 +31,7 @@ from pcbench.scenes.scene import first_names
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
 from reconstructors.mvs.blocks import FilteredImage, fuse_blocks, fused_files, plan_cells
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
+from reconstructors.mvs.confidence import CONFIDENCE, MIN_SCENE_ANGLE_DEG, depth_percents, keep_precise
 from reconstructors.mvs.filter import Criteria, filter_map
 from reconstructors.mvs.fusion import OverlapSamples, sample_overlap, write_mesh
 from reconstructors.mvs.halos import remove_halos
@@ -47,6 +49,7 @@ MESH = "mesh.ply"  # in the workspace
 MIN_MEMORY_GB = 0.01
 
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
+PERCENTS = "percents.npy"  # beside it: the confidence of each depth in percent, (H, W)
 _OVERLAP_FILE = "links.npz"
 _SFM = "sfm"  # in the workspace: the files of `sfm`
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
@@ -86,8 +89,10 @@ class DenseMvs:
     By default they are matched at up to 2000 pixels.
     sources: images that each image is matched with; by default up to 8, if as many overlap.
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
-    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
-    gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
+    precision: expected share of the points within two pixel footprints of the surface; the least confident points are
+    dropped until it is reached, and 0 keeps all. The default leaves a margin for a true share of 0.9.
+    correlation: minimum correlation of the images at a depth, from 0 to 1. views: minimum number of images that agree
+    on a point; 3 gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
     memory: gigabytes that fusion may use for points. A scene that needs more is fused in blocks, one after the other.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
@@ -96,7 +101,8 @@ class DenseMvs:
     spacing: float | None = None
     sources: int | None = None
     backend: Backend = "auto"
-    confidence: float = 0.3
+    precision: float = 0.92
+    correlation: float = 0.3
     views: int = 2
     memory: float = 4.0
     mesh: bool = False
@@ -107,8 +113,10 @@ class DenseMvs:
             raise ValueError(f"expected a positive spacing, got {self.spacing}")
         if self.sources is not None and not 1 <= self.sources <= MAX_SOURCES_PER_IMAGE:
             raise ValueError(f"expected 1 to {MAX_SOURCES_PER_IMAGE} sources, got {self.sources}")
-        if not 0 <= self.confidence <= 1:
-            raise ValueError(f"expected a confidence from 0 to 1, got {self.confidence}")
+        if not 0 <= self.precision <= 1:
+            raise ValueError(f"expected a precision from 0 to 1, got {self.precision}")
+        if not 0 <= self.correlation <= 1:
+            raise ValueError(f"expected a correlation from 0 to 1, got {self.correlation}")
         if self.views < 2:
             raise ValueError(f"expected points of at least 2 images, got views={self.views}")
         if not (np.isfinite(self.memory) and self.memory >= MIN_MEMORY_GB):
@@ -160,18 +168,27 @@ class DenseMvs:
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered])
         images = {
             name: FilteredImage(
-                cameras[name], views[name] / IMAGE, folder, folder / VIEW_COUNTS, _read_overlap(folder), depths
+                cameras[name],
+                views[name] / IMAGE,
+                folder,
+                folder / VIEW_COUNTS,
+                folder / PERCENTS,
+                _read_overlap(folder),
+                depths,
             )
             for name, (folder, depths) in filtered.items()
         }
         cells = plan_cells(images, self.memory)
-        cloud = fuse_blocks(images, cells, plan.spacing, self.views, workspace)
+        fused = fuse_blocks(images, cells, plan.spacing, self.views, workspace)
+        angle_deg = float(np.median([r.angle_deg for r in references]))
+        cloud = fused if angle_deg < MIN_SCENE_ANGLE_DEG else keep_precise(fused, self.precision)
         cloud = replace(cloud, points=freeze(cloud.points + origin), unit=solved.unit)
         in_blocks = f" in {len(cells)} blocks" if len(cells) > 1 else ""
         notes.append(
             f"{len(images)} depth maps fused{in_blocks}; median of {np.median(cloud.attributes['views']):.0f} images"
             " per point"
         )
+        notes += _describe_dropped(fused, cloud, self.precision, angle_deg)
         if len(images) == 2:
             notes.append(_TWO_IMAGES_NOTE)
         if self.mesh:
@@ -240,7 +257,7 @@ class DenseMvs:
         Raises:
             ReconstructionError: no map has a confirmed depth.
         """
-        criteria = Criteria(confidence=self.confidence, views=self.views)
+        criteria = Criteria(confidence=self.correlation, views=self.views)
         stages = {}
         for reference in with_time_left([r for r in references if r.name in maps], "filtering"):
             sources = [name for name in reference.sources if name in maps]
@@ -252,6 +269,8 @@ class DenseMvs:
                 kept, agree = remove_halos(filtered, view.gray)
                 write_map(folder, kept)
                 np.save(folder / VIEW_COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
+                source_cameras = [photographs.cameras[source] for source in sources]
+                np.save(folder / PERCENTS, depth_percents(camera, kept, agree, source_cameras, view.gray))
                 overlap = sample_overlap(camera, kept, agree, sources)
                 names = np.array(sources, dtype=str)
                 np.savez(folder / _OVERLAP_FILE, points=overlap.points, agree=overlap.agreement, sources=names)
@@ -259,16 +278,16 @@ class DenseMvs:
             inputs = {
                 "maps": {name: stage_digest(maps[name]) for name in (reference.name, *sources)},
                 "criteria": repr(criteria),
-                "files": [VIEW_COUNTS, _OVERLAP_FILE],
+                "files": [VIEW_COUNTS, PERCENTS, _OVERLAP_FILE],
             }
             folder = stage(*stage_location(workspace / MAPS, reference.name), inputs, make)
             if depths := int(np.count_nonzero(read_depth(folder))):
                 stages[reference.name] = _FilteredStage(folder, depths)
         if not stages:
             raise ReconstructionError(
-                f"no depth map has confirmed depths: in {len(maps)} images no depth is confident"
-                f" (confidence={self.confidence}) and confirmed by {self.views} images. The images lack texture, are"
-                " blurred or masked, or the cameras are wrong"
+                f"no depth map has confirmed depths: in {len(maps)} images no depth has enough correlation"
+                f" (correlation={self.correlation}) and is confirmed by {self.views} images. The images lack texture,"
+                " are blurred or masked, or the cameras are wrong"
             )
         return stages
 
@@ -341,6 +360,24 @@ def _describe_missing_maps(filtered: Collection[str], references: Sequence[Match
     if not missing:
         return []
     return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {first_names(missing)}"]
+
+
+def _describe_dropped(fused: Cloud, cloud: Cloud, precision: float, angle_deg: float) -> list[str]:
+    """Return a note on the points that were dropped, or on the reason why none were, although they are uncertain."""
+    if len(cloud) < len(fused):
+        least = float(cloud.attributes[CONFIDENCE].min())
+        return [
+            f"{1 - len(cloud) / len(fused):.1%} of the points have a confidence below {least:.2f} and were dropped:"
+            f" {precision:.0%} of the others are expected within two pixel footprints; --set precision=0 keeps all"
+        ]
+    expected = float(np.mean(fused.attributes[CONFIDENCE], dtype=np.float64))
+    if expected >= precision:
+        return []
+    if angle_deg < MIN_SCENE_ANGLE_DEG:
+        reason = f"confidences are calibrated for images that are at least {MIN_SCENE_ANGLE_DEG:g} degrees apart"
+    else:
+        reason = f"none has a confidence of {precision:g}; {expected:.0%} are expected within two pixel footprints"
+    return [f"warning: no uncertain points were dropped: {reason}"]
 
 
 def _read_overlap(folder: Path) -> OverlapSamples:

@@ -76,7 +76,7 @@ CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 BLOCKS = "blocks"  # in the workspace: a stage like `model` for each block, if there are several
 
 # Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
-INITIAL_MVS = DenseMvs(views=2, confidence=0.1)
+INITIAL_MVS = DenseMvs(views=2, precision=0.0, correlation=0.1)
 
 _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface

@@ -45,7 +45,12 @@ def fuse_maps(folder, cameras, maps, image=None):
     write_workspace(workspace, cameras_by_name, {name: image.photograph for name, image in images.items()}, tracks)
     link_maps(workspace, {name: image.map for name, image in images.items()})
     fuse(workspace, workspace / FUSED, cameras_by_name, 30.0)
-    return workspace / FUSED, cameras_by_name, {name: image.counts for name, image in images.items()}, 3
+    return (
+        workspace / FUSED,
+        cameras_by_name,
+        *({n: getattr(image, part) for n, image in images.items()} for part in ("counts", "percents")),
+        3,
+    )
 
 
 @pytest.fixture(scope="module")

@@ -61,6 +61,7 @@ def test_exact_maps_yield_an_exact_cloud(completed_run, photographs):
     assert np.median(error) < 1e-5
     assert np.quantile(error, 0.99) < 0.002
     assert set(np.unique(cloud.attributes["views"])) == {2, 3, 4, 5}
+    assert cloud.attributes["confidence"].mean() > 0.97
     normals = np.eye(3)[np.argmin(np.abs(cloud.points), axis=1)]
     assert np.quantile(np.einsum("ni,ni->n", normals, cloud.normals), 0.01) > 0.99
     # A point has the colour of the photograph at its projection.
@@ -132,6 +133,8 @@ def test_little_memory_fuses_the_same_maps_in_blocks(workspace, completed_run, p
     assert "5 depth maps fused in 4 blocks" in " ".join(reconstruction.notes)
     whole = completed_run[1].cloud
     assert len(reconstruction.cloud) == pytest.approx(len(whole), rel=0.01)
+    means = [np.mean(cloud.attributes["confidence"]) for cloud in (reconstruction.cloud, whole)]
+    assert means[0] == pytest.approx(means[1], abs=0.001)
     distances = Index(whole.points).query(reconstruction.cloud.points).distances
     assert np.mean(distances == 0) > 0.5
     assert np.quantile(distances, 0.99) < 0.023  # a pixel
@@ -149,9 +152,11 @@ def test_resumed_run_computes_only_the_missing_maps(workspace, completed_run, ph
     assert matcher.refined == ["003.png"]
     np.testing.assert_array_equal(reconstruction.cloud.points, completed_run[1].cloud.points)
     # Other criteria use the same maps.
-    strict_reconstruction = DenseMvs(backend="bundled", views=4).reconstruct(scene, workspace)
+    strict_reconstruction = DenseMvs(backend="bundled", views=4, precision=1.0).reconstruct(scene, workspace)
     assert len(matcher.matched) == 1
     assert strict_reconstruction.cloud.attributes["views"].min() >= 4
+    assert strict_reconstruction.cloud.attributes["confidence"].min() == 1
+    assert "% of the others are expected" in check_text(next(n for n in strict_reconstruction.notes if "dropped" in n))
 
 
 def test_masked_pixels_yield_no_points(photographs, tmp_path, monkeypatch):
@@ -189,12 +194,17 @@ def test_failures_are_explained(completed_run, workspace, photographs, tmp_path,
 
 @pytest.mark.parametrize("poses", ["given", pytest.param("solve", marks=pytest.mark.long)])
 def test_two_images_are_enough(photographs, tmp_path, monkeypatch, poses):
-    """Points of two images are those on which both agree, and a note says that none confirms them."""
+    """Points of two images are those on which both agree, and a note says that none confirms them.
+
+    At a narrow angle confidences are not calibrated, so all points stay.
+    """
     scene = read_scene(photographs).select(["001.png", "002.png"])
     if poses == "given":
         ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
-    reconstruction = DenseMvs(backend="bundled", poses=poses).reconstruct(scene, tmp_path)
-    check_text(next(note for note in reconstruction.notes if note.startswith("two images")))
+    monkeypatch.setattr("reconstructors.mvs.mvs.MIN_SCENE_ANGLE_DEG", 90.0)
+    reconstruction = DenseMvs(backend="bundled", poses=poses, precision=1.0).reconstruct(scene, tmp_path)
+    for start in ("two images", "warning: no uncertain points"):
+        check_text(next(note for note in reconstruction.notes if note.startswith(start)))
     assert set(np.unique(reconstruction.cloud.attributes["views"])) == {2}
     assert len(reconstruction.cloud) > 5_000
     if poses == "given":
@@ -285,7 +295,8 @@ def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
         {"spacing": 0.0},
         {"sources": 0},
         {"sources": 9},
-        {"confidence": 1.5},
+        {"precision": 1.5},
+        {"correlation": -0.1},
         {"views": 1},
         {"memory": 0.009},
         {"seed": -1},
