@@ -1,7 +1,7 @@
-"""Accuracy of a dense cloud by time budget and by confidence: python benchmarks/mvs_charts.py --chart FOLDER
+"""Accuracy of a dense cloud by time budget and by correlation: python benchmarks/mvs_charts.py --chart FOLDER
 
 `pcbench bench` runs `mvs` on a synthetic city with exact truth and varies one setting at a time: `spacing`,
-`image_scale` and `sources`. Then one run is filtered and fused again for each `confidence`. Prints a table; `--chart`
+`image_scale` and `sources`. Then one run is filtered and fused again for each `correlation`. Prints a table; `--chart`
 draws F-score against time and precision against completeness, both at two pixel footprints.
 """
 
@@ -20,13 +20,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from dense_cases import read_city
 
 SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
-CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
+CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
 THRESHOLD_INDEX = 1  # index of the bench's threshold of 2 pixels
 LINE_STYLES = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
 # Label positions that are clear of the lines: upper left of rising lines, lower right of the lowest rising line, and
 # upper right of falling lines.
 LABEL_ABOVE = ((-4, 5), "right", "bottom")
-LABEL_BESIDE = {"spacing": ((4, -5), "left", "top"), "confidence": ((5, 3), "left", "bottom")}
+LABEL_BESIDE = {"spacing": ((4, -5), "left", "top"), "correlation": ((5, 3), "left", "bottom")}
 
 
 class ChartPoint(NamedTuple):
@@ -58,16 +58,16 @@ def measure_budgets(city: Path, out: Path) -> dict[str, list[ChartPoint]]:
     return points_by_setting
 
 
-def measure_confidences(folder: Path, work: Path) -> list[ChartPoint]:
-    """Measure completeness over the visible part and precision per confidence; only filter and fusion run again."""
+def measure_correlations(folder: Path, work: Path) -> list[ChartPoint]:
+    """Measure completeness over the visible part and precision per correlation; only filter and fusion run again."""
     city, points = read_city(folder), []
     work.mkdir(exist_ok=True)
-    for confidence in CONFIDENCES:
-        reconstruct(folder, work, confidence)
+    for correlation in CORRELATIONS:
+        reconstruct(folder, work, correlation)
         score = score_workspace(city, work)
-        points.append(ChartPoint(f"{confidence:g}", score.recall[THRESHOLD_INDEX], score.precision[THRESHOLD_INDEX]))
+        points.append(ChartPoint(f"{correlation:g}", score.recall[THRESHOLD_INDEX], score.precision[THRESHOLD_INDEX]))
         print(
-            f"{'confidence':12}{confidence:6g}{'':16}{score.points:10,}{score.precision[THRESHOLD_INDEX]:9.3f}{score.recall[THRESHOLD_INDEX]:9.3f}"
+            f"{'correlation':12}{correlation:6g}{'':16}{score.points:10,}{score.precision[THRESHOLD_INDEX]:9.3f}{score.recall[THRESHOLD_INDEX]:9.3f}"
             f"{score.fscore[THRESHOLD_INDEX]:9.3f}{score.wrong:9.2%}",
             flush=True,
         )
@@ -112,7 +112,7 @@ def main() -> None:
     parser.add_argument("--size", default="360x240")
     parser.add_argument("--rig", default="oblique")
     parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--only", choices=("budgets", "confidence"))
+    parser.add_argument("--only", choices=("budgets", "correlation"))
     parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="Draw mvs_budgets.png and mvs_confidence.png.")
     options = parser.parse_args()
@@ -125,7 +125,7 @@ def main() -> None:
         if not (root / "city").exists():
             make_city(root / "city", "city", options, options.seed)
         threshold_label = "2 footprints"
-        if options.only != "confidence":
+        if options.only != "correlation":
             lines = measure_budgets(root / "city", root)
             if options.chart:
                 draw(
@@ -135,7 +135,7 @@ def main() -> None:
                     f"F-score over the visible part, {threshold_label}",
                 )
         if options.only != "budgets":
-            line = {"confidence": measure_confidences(root / "city", root / "confidence")}
+            line = {"correlation": measure_correlations(root / "city", root / "correlation")}
             if options.chart:
                 path = options.chart / "mvs_confidence.png"
                 draw(line, path, f"share of the visible part, {threshold_label}", f"precision, {threshold_label}")

@@ -74,10 +74,13 @@ def add_moving_objects(folder: Path, rng: np.random.Generator) -> None:
         edited.save(path)
 
 
-def reconstruct(folder: Path, work: Path, confidence: float | None = None) -> float:
-    """Reconstruct the dense cloud of a city; return the CPU seconds of the job."""
+def reconstruct(folder: Path, work: Path, correlation: float | None = None) -> float:
+    """Reconstruct the dense cloud of a city; return the CPU seconds of the job.
+
+    With a minimum correlation, points are kept whatever their confidence.
+    """
     start = children_cpu_seconds()
-    setting_options = [] if confidence is None else ["--set", f"confidence={confidence}"]
+    setting_options = [] if correlation is None else ["--set", f"correlation={correlation}", "--set", "precision=0"]
     pcbench(
         "reconstruct",
         "mvs",
