@@ -69,14 +69,14 @@ def test_a_table_is_written_until_its_code_is_the_same(docs, site_hooks, root, m
     (root / "benchmarks/kernel.py").write_text("VALUE = 7  # as always\n")
     remeasure(docs, monkeypatch, "--only", "speed")
     assert ": current, " in capsys.readouterr().out
-    (root / "benchmarks/kernel.py").write_text("VALUE = 8\n")
+    (root / "benchmarks/kernel.py").write_text("VALUE = 80\n")
     (measurement,) = docs[2].all_measurements(root)
     assert "1 of" in docs[2].status(measurement, root) and "(benchmarks/kernel.py)" in docs[2].status(measurement, root)
     monkeypatch.setattr(site_hooks, "_ROOT", root)
     shown = site_hooks.on_page_markdown(page(root), page=SimpleNamespace(file=SimpleNamespace(src_uri="speed.md")))
     assert "```\n\n*Commit " in shown and "has changed since.*\n\nEnd of the page." in shown
     remeasure(docs, monkeypatch)
-    assert "table of 8" in page(root) and docs[2].status(*docs[2].all_measurements(root), root) is None
+    assert "table of 80" in page(root) and docs[2].status(*docs[2].all_measurements(root), root) is None
 
 
 @pytest.mark.parametrize(
