@@ -111,7 +111,7 @@ def write_table(root: Path, table: Table, lines: Sequence[str]) -> None:
 def main() -> int:
     """Run the commands of stale tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="words, or phrases in quotes, of which the page or the command has one; all if empty")
+    parser.add_argument("--only", default="", help="words or quoted phrases, of which the page or the command has one")
     parser.add_argument("--again", action="store_true", help="also run commands whose code has not changed")
     options = parser.parse_args()
     words, failures = shlex.split(options.only), []
