@@ -23,6 +23,9 @@ from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from measure import commit, setting
 from written_tables import ROOT, Run, Table, hash_of, read_run, replace_text, store_run, tables
 
 CODE = "pcbench", "reconstructors", "benchmarks", "tests"  # folders whose modules a command measures or uses
@@ -78,9 +81,7 @@ def run_command(root: Path, command: str, limit_s: float) -> Run:
         names = sorted({name for file in imports.iterdir() for name in file.read_text().split("\n")})
     code = {name: digest for name in code_files(root, names) if (digest := hash_of(root / name))}
     lines = [line.rstrip() for line in printed.strip("\n").split("\n")]
-    return Run(
-        command, _commit(root), _machine(), round(load, 1), date.today().isoformat(), round(seconds, 1), code, lines
-    )
+    return Run(command, commit(), _machine(), round(load, 1), date.today().isoformat(), round(seconds, 1), code, lines)
 
 
 def code_files(root: Path, modules: Iterable[str]) -> list[str]:
@@ -138,16 +139,8 @@ def main() -> int:
     return 1 if failures else 0
 
 
-def _commit(root: Path) -> str:
-    sys.path.insert(0, str(root / "benchmarks"))
-    from measure import commit
-
-    return commit()
-
-
 def _machine() -> str:
-    from measure import setting
-
+    """Return the processor and the number of its cores."""
     return setting().partition("; ")[2].rpartition(", load")[0]
 
 

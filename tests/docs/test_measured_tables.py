@@ -1,7 +1,6 @@
 """`make measured` writes what commands print into the pages, once for each state of the code that they import."""
 
 import json
-import shutil
 from types import SimpleNamespace
 
 import pytest
@@ -43,7 +42,6 @@ def root(tmp_path, docs, monkeypatch):
     (tmp_path / "benchmarks/speed.py").write_text(SCRIPT)
     (tmp_path / "benchmarks/kernel.py").write_text("VALUE = 7\n")
     (tmp_path / "README.md").touch()
-    shutil.copy(ROOT / "benchmarks/measure.py", tmp_path / "benchmarks/measure.py")
     monkeypatch.setattr(docs[0], "ROOT", tmp_path)
     return tmp_path
 
