@@ -156,7 +156,7 @@ def write_tables(root: Path, run: Run) -> None:
     """Write the tables of a run into their pages, and store it.
 
     Raises:
-        LookupError: the command did not print a part that a page shows; then nothing is written.
+        LookupError: the command did not print a block that a page shows; then nothing is written.
     """
     texts = {page: with_lines(page.read_text(), run) for page in pages(root) if run.command in page.read_text()}
     for page, text in texts.items():
@@ -222,7 +222,7 @@ def main() -> int:
         return 0
     for command in {table.command for table in tables(ROOT)} - {job.command for job in jobs}:
         if run := read_run(ROOT, command):
-            write_tables(ROOT, run)  # a new table may show a part of it
+            write_tables(ROOT, run)  # a new table may show a block of it
     for job, found in results(ROOT, jobs):
         try:
             if isinstance(found, Exception):

@@ -5,8 +5,9 @@
 (what the command prints)
 ```
 
-A command may print parts, each below a line `== NAME`. A table shows one of them if its comment ends in `| NAME`, so
-that one run fills several tables, also on several pages. A table whose last line is `...` shows the first lines.
+A table shows one block of the output, the lines up to the next empty one, if its comment ends in `| START`, the start
+of the first line of the block: one run fills several tables, also on several pages. A table whose last line is `...`
+shows the first lines.
 docs/measured/commands.toml has the expected seconds of each command.
 """
 
@@ -29,10 +30,9 @@ COMMANDS = "docs/measured/commands.toml"
 
 TABLE = re.compile(
     r"<!-- made by: (?P<command>(?:python benchmarks/|pcbench (?:bench|demo|experiment|stress|tradeoff) )[^|\n]+?)"
-    r"(?: \| (?P<part>[^\n]+?))? -->\n```text\n(?P<lines>.*?)```",
+    r"(?: \| (?P<block>[^\n]+?))? -->\n```text\n(?P<lines>.*?)```",
     re.DOTALL,
 )
-_PART = "== "
 _CPP_COMMENT = re.compile(r'("(?:\\.|[^"\\\n])*")|//[^\n]*|/\*.*?\*/', re.DOTALL)
 
 
@@ -43,13 +43,13 @@ class Table(NamedTuple):
         page: path of the page in the repository.
         line: line of the comment that names the command.
         command: the command.
-        part: name of the part of its output, None for all of it.
+        block: start of the block that is shown, None: all of its output.
     """
 
     page: str
     line: int
     command: str
-    part: str | None = None
+    block: str | None = None
 
 
 class Cost(NamedTuple):
@@ -92,26 +92,20 @@ class Run:
         """Return the files whose code has changed since."""
         return [name for name, digest in self.code.items() if hash_of(root / name) != digest]
 
-    def part(self, name: str | None) -> list[str]:
-        """Return the lines of a part, without its name; None: all lines.
+    def block(self, start: str | None) -> list[str]:
+        """Return the lines from the one that begins with a text to the next empty one; None: all lines.
 
         Raises:
-            LookupError: the command printed no such part.
+            LookupError: no line after an empty one begins with the text.
         """
-        return part_of(self.lines, name)
-
-
-def part_of(lines: Sequence[str], name: str | None) -> list[str]:
-    """Return the lines of a part of an output, see `Run.part`."""
-    if name is None:
-        return list(lines)
-    parts = "\n".join(["", *lines]).split(f"\n{_PART}")
-    for part in parts[1:]:
-        title, _, text = part.partition("\n")
-        if title == name:
-            return text.strip("\n").split("\n")
-    names = [part.partition("\n")[0] for part in parts[1:]]
-    raise LookupError(f"expected a part {name!r}; the command printed {', '.join(map(repr, names)) or 'no parts'}")
+        if start is None:
+            return list(self.lines)
+        blocks = "\n".join(self.lines).split("\n\n")
+        for block in blocks:
+            if (lines := block.strip("\n").split("\n"))[0].lstrip().startswith(start):
+                return lines
+        starts = ", ".join(repr(block.strip().partition("\n")[0][:30]) for block in blocks)
+        raise LookupError(f"expected a block that starts with {start!r}; the command printed {starts}")
 
 
 def pages(root: Path) -> list[Path]:
@@ -125,20 +119,20 @@ def tables(root: Path) -> Iterator[Table]:
         text = page.read_text()
         for match in TABLE.finditer(text):
             line = text.count("\n", 0, match.start()) + 1
-            yield Table(page.relative_to(root).as_posix(), line, match["command"], match["part"])
+            yield Table(page.relative_to(root).as_posix(), line, match["command"], match["block"])
 
 
 def with_lines(text: str, run: Run) -> str:
     """Return the text of a page with the tables of a run.
 
     Raises:
-        LookupError: the command did not print a part that the page shows.
+        LookupError: the command did not print a block that the page shows.
     """
 
     def written(table: re.Match[str]) -> str:
         if table["command"] != run.command:
             return table[0]
-        lines = run.part(table["part"])
+        lines = run.block(table["block"])
         if table["lines"].endswith("\n...\n"):
             lines = [*lines[: table["lines"].count("\n") - 1], "..."]
         return table[0][: table.start("lines") - table.start()] + "\n".join(lines) + "\n```"

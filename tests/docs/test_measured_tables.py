@@ -14,9 +14,9 @@ import kernel
 print("table of", kernel.VALUE, sys.argv[1:])
 print()
 """
-PARTS = """
+BLOCKS = """
 import os
-print("commit 1234567\\n\\n== near\\na\\nb\\nc\\n\\n== far\\nthreads", os.environ.get("OMP_NUM_THREADS"))
+print("commit 1234567\\n\\nnear\\na\\nb\\n\\n   far\\nthreads", os.environ.get("OMP_NUM_THREADS"))
 """
 
 
@@ -84,27 +84,26 @@ def test_a_table_is_written_until_its_code_is_the_same(docs, site_hooks, root, m
     assert "table of 80" in page(root) and not list(docs[2].findings(root))
 
 
-def test_one_run_fills_its_parts_on_several_pages(docs, root, monkeypatch, capsys):
-    """A table that ends in `...` keeps its length; a part that the command does not print is an error."""
+def test_one_run_fills_tables_on_several_pages(docs, root, monkeypatch, capsys):
+    """A table that ends in `...` keeps its length; a block that the command does not print is an error."""
     near, far, whole = (
-        f"<!-- made by: {COMMAND}{part} -->\n```text\n{old}\n```\n"
-        for part, old in ((" | near", "old\n..."), (" | far", "old"), ("", "old\n..."))
+        f"<!-- made by: {COMMAND}{block} -->\n```text\n{old}\n```\n"
+        for block, old in ((" | near", "old\nold\n..."), (" | far", "old"), ("", "old\n..."))
     )
     (root / "docs/measured/speed.md").write_text(far)
     (root / "README.md").write_text(near + "\nand\n\n" + whole)
     (root / "docs/measured/commands.toml").write_text(f'[scores]\n"{COMMAND}" = 90\n')
-    (root / "benchmarks/speed.py").write_text(PARTS)
+    (root / "benchmarks/speed.py").write_text(BLOCKS)
     assert remeasure(docs, monkeypatch) == 0
     assert capsys.readouterr().out.splitlines()[1] == "1 commands, 1 min: 0 for timings, 1 for the others"
-    assert page(root) == far.replace("old", "threads 1")
-    assert (root / "README.md").read_text() == near.replace("old", "a") + "\nand\n\n" + whole.replace(
-        "old", "commit 1234567"
-    )
-    (root / "docs/measured/speed.md").write_text(near)
-    assert remeasure(docs, monkeypatch) == 0 and page(root) == near.replace("old", "a")  # from the stored run
+    assert page(root) == far.replace("old", "   far\nthreads 1")
+    near = near.replace("old\nold", "near\na")
+    assert (root / "README.md").read_text() == near + "\nand\n\n" + whole.replace("old", "commit 1234567")
+    (root / "docs/measured/speed.md").write_text(near.replace("near\na", "old\nold"))
+    assert remeasure(docs, monkeypatch) == 0 and page(root) == near  # from the stored run
     (root / "docs/measured/speed.md").write_text(far.replace("far", "middle"))
     assert remeasure(docs, monkeypatch, "--again") == 1
-    assert "expected a part 'middle'; the command printed 'near', 'far'" in capsys.readouterr().out
+    assert "starts with 'middle'; the command printed 'commit 1234567', 'near', 'far'" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
