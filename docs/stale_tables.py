@@ -14,6 +14,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 from quoted_figures import differing_figures
@@ -21,6 +22,7 @@ from written_tables import ROOT, TABLE, pages, read_run, tables
 
 TRIALS = "docs/trials/"
 _COMMIT = re.compile(r"\b(?=[0-9]*[a-f])(?=[a-f]*[0-9])[0-9a-f]{7,40}\b|(?<=commit )[0-9]{7,40}\b")  # no word, no count
+_CODE = re.compile(r"(`+)(?!`).*?(?<!`)\1(?!`)", re.DOTALL)  # spans and blocks: commits of other projects, outputs
 _DATE = re.compile(r"\b20\d\d-\d\d-\d\d\b")
 
 
@@ -45,7 +47,7 @@ def _stale_tables(root: Path) -> Iterator[str]:
 
 def _trials(root: Path, name: str, text: str) -> Iterator[str]:
     for number, entry in _entries(text):
-        commits = _COMMIT.findall(entry)
+        commits = _COMMIT.findall(_CODE.sub("", entry))
         if not commits and not _DATE.search(entry):
             yield f"{name}:{number}: expected a commit or a date such as 2026-11-25 in {entry.partition(chr(10))[0]!r}"
         for commit in commits:
@@ -57,14 +59,14 @@ def _trials(root: Path, name: str, text: str) -> Iterator[str]:
 def _entries(text: str) -> Iterator[tuple[int, str]]:
     """Yield each heading of the second level with its text, and its line."""
     starts = [match.start() for match in re.finditer(r"^## ", text, re.MULTILINE)]
-    for start, end in zip(starts, [*starts[1:], len(text)], strict=True):
+    for start, end in pairwise([*starts, len(text)]):
         yield text.count("\n", 0, start) + 1, text[start:end]
 
 
 def _commits_beside_tables(name: str, text: str) -> Iterator[str]:
     outside = TABLE.sub(lambda table: "\n" * table[0].count("\n"), text)
     for number, line in enumerate(outside.splitlines(), 1):
-        for commit in _COMMIT.findall(line):
+        for commit in _COMMIT.findall(_CODE.sub("", line)):
             yield f"{name}:{number}: commit {commit}: a record of an experiment belongs to {TRIALS}"
 
 

@@ -18,6 +18,7 @@ import hashlib
 import json
 import re
 import shlex
+import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -33,6 +34,7 @@ TABLE = re.compile(
     r"(?: \| (?P<block>[^\n]+?))? -->\n```text\n(?P<lines>.*?)```",
     re.DOTALL,
 )
+_WIDTH = 120  # of sentences on a page, as of other text
 _CPP_COMMENT = re.compile(r'("(?:\\.|[^"\\\n])*")|//[^\n]*|/\*.*?\*/', re.DOTALL)
 
 
@@ -132,12 +134,17 @@ def with_lines(text: str, run: Run) -> str:
     def written(table: re.Match[str]) -> str:
         if table["command"] != run.command:
             return table[0]
-        lines = run.block(table["block"])
+        lines = [part for line in run.block(table["block"]) for part in _wrapped(line)]
         if table["lines"].endswith("\n...\n"):
             lines = [*lines[: table["lines"].count("\n") - 1], "..."]
         return table[0][: table.start("lines") - table.start()] + "\n".join(lines) + "\n```"
 
     return TABLE.sub(written, text)
+
+
+def _wrapped(line: str) -> list[str]:
+    """Return the lines of a long sentence; lines with columns stay as they are."""
+    return [line] if len(line) <= _WIDTH or "  " in line else textwrap.wrap(line, _WIDTH)
 
 
 def read_costs(root: Path) -> dict[str, Cost]:

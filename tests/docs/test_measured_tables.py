@@ -1,6 +1,8 @@
 """`make measured` writes what commands print into the pages, once for each state of the code that they import."""
 
 import json
+import re
+import tomllib
 from types import SimpleNamespace
 
 import pytest
@@ -139,3 +141,31 @@ def test_code_of_compiled_modules_is_their_source(docs):
     files = docs[0].code_files(ROOT, [str(site / "reconstructors/splat/cpu/_rasterizer.so"), str(site / "numpy/a.so")])
     assert {"reconstructors/splat/cpu/rasterizer.cpp", "reconstructors/splat/maths.h"} <= set(files)
     assert not [name for name in files if name.endswith(".py")]
+
+
+def test_each_command_has_its_cost_and_all_fit_into_an_afternoon(docs):
+    commands = {table.command for table in docs[1].tables(ROOT)}
+    costs = docs[1].read_costs(ROOT)
+    assert commands == set(costs)
+    assert len({docs[1]._record(ROOT, command) for command in commands}) == len(commands)
+    assert not [command for command in commands if re.search(r"\b[A-Z]{3,}\b", command)]  # a folder of one person
+    alone = sum(cost.seconds for cost in costs.values() if cost.is_timing)
+    assert alone + sum(cost.seconds for cost in costs.values() if not cost.is_timing) / 2 < 2.5 * 3600
+
+
+def test_tables_of_the_pages_are_those_of_their_runs(docs):
+    """Nobody edits them by hand; a table whose command has no stored run is not checked."""
+    _, written_tables, _ = docs
+    runs = [run for table in written_tables.tables(ROOT) if (run := written_tables.read_run(ROOT, table.command))]
+    for page in written_tables.pages(ROOT):
+        text = page.read_text()
+        for run in runs:
+            assert run.command not in text or written_tables.with_lines(text, run) == text, f"{page}: {run.command}"
+
+
+def test_quoted_figures_of_the_pages_are_those_of_the_runs(docs):
+    from quoted_figures import QUOTED, differing_figures
+
+    names = tomllib.loads((ROOT / QUOTED).read_text())["runs"].values()
+    assert set(names) <= {table.command for table in docs[1].tables(ROOT)}
+    assert list(differing_figures(ROOT)) == []

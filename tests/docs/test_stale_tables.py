@@ -62,6 +62,18 @@ def test_without_a_repository_nothing_fails(stale_tables, tmp_path, capsys):
     check_text(capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))
 
 
+def test_records_name_their_commits_and_other_pages_name_none(stale_tables):
+    """Commits are not looked up here: a shallow clone lacks them."""
+    for page in stale_tables.pages(ROOT):
+        name, text = page.relative_to(ROOT).as_posix(), page.read_text()
+        if not name.startswith(stale_tables.TRIALS):
+            assert list(stale_tables._commits_beside_tables(name, text)) == []
+            continue
+        assert len(text.split()) <= 5000, f"{name}: split it"
+        for number, entry in stale_tables._entries(text):
+            assert stale_tables._COMMIT.search(entry) or stale_tables._DATE.search(entry), f"{name}:{number}: no commit"
+
+
 @pytest.mark.long
 def test_command_never_fails():
     process = subprocess.run([sys.executable, SCRIPT], capture_output=True, text=True)
