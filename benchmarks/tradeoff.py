@@ -1,4 +1,4 @@
-"""What cheaper comparisons of a pair cost: python benchmarks/tradeoff.py demo
+"""Cost of cheaper comparisons of a pair, and the errors that they make: python benchmarks/tradeoff.py demo
 
 Runs `pcbench tradeoff` on one of three pairs: `demo`, the reference of 50,000 points and the densified candidate of
 `pcbench demo`; `autzen` and `forest`, random halves of an airborne scan of the folder PCBENCH_DATA. Prints what the

@@ -50,7 +50,7 @@ from written_tables import (
 CODE = "pcbench", "reconstructors", "benchmarks", "tests"  # folders whose modules a command measures or uses
 _LEAST_LIMIT_S, _LIMIT_FACTOR = 600.0, 4.0  # least limit of a command, and its limit over the expected seconds
 _UNKNOWN_COST = Cost(600.0, True)  # of a command that docs/measured/commands.toml does not have yet
-_QUIET_LOAD, _QUIET_WAIT_S, _QUIET_POLL_S = 0.7, 120.0, 5.0  # load over a minute at which timings begin; longest wait
+_QUIET_LOAD, _QUIET_WAIT_S, _QUIET_POLL_S = 0.7, 120.0, 3.0  # busy cores at which timings begin; longest wait; steps
 _MISSING = re.compile(r"missing: .*|.* is not measured.*")  # as the benchmarks say it
 _running: set[int] = set()  # processes of the commands that run now
 _SOURCES = {".h", ".cpp", ".cu"}
@@ -152,27 +152,45 @@ def code_files(root: Path, modules: Iterable[str]) -> list[str]:
     return sorted(path.as_posix() for path in inside if path.parts[0] in CODE)
 
 
-def write_tables(root: Path, run: Run) -> None:
-    """Write the tables of a run into their pages, and store it.
+def write_tables(root: Path) -> list[str]:
+    """Write the tables of all stored runs into their pages; return a line for each block that was not printed."""
+    failures, found = [], list(tables(root))
+    for page in pages(root):
+        name, text = page.relative_to(root).as_posix(), page.read_text()
+        written = text
+        for command in dict.fromkeys(table.command for table in found if table.page == name):
+            if run := read_run(root, command):
+                try:
+                    written = with_lines(written, run)
+                except LookupError as error:
+                    failures.append(f"failed: {name}: {command}: {error}")
+        if written != text:
+            replace_text(page, written)
+    return failures
 
-    Raises:
-        LookupError: the command did not print a block that a page shows; then nothing is written.
-    """
-    texts = {page: with_lines(page.read_text(), run) for page in pages(root) if run.command in page.read_text()}
-    for page, text in texts.items():
-        replace_text(page, text)
-    store_run(root, run)
+
+def busy_cores(seconds: float) -> float:
+    """Return how many cores are busy on average in the next seconds."""
+
+    def idle_and_all() -> tuple[int, int]:
+        ticks = [int(word) for word in Path("/proc/stat").read_text().partition("\n")[0].split()[1:]]
+        return ticks[3] + ticks[4], sum(ticks[:8])  # idle and waiting for disks; guests are part of the first columns
+
+    before = idle_and_all()
+    time.sleep(seconds)
+    idle, total = (after - first for after, first in zip(idle_and_all(), before, strict=True))
+    return (os.cpu_count() or 1) * (1 - idle / max(total, 1))
 
 
 def wait_until_quiet() -> None:
     """Wait until the machine does little else, but not longer than two minutes."""
-    start = time.monotonic()
-    while (load := os.getloadavg()[0]) > _QUIET_LOAD and time.monotonic() - start < _QUIET_WAIT_S:
-        if time.monotonic() - start < _QUIET_POLL_S:
-            print(f"waiting for a load below {_QUIET_LOAD}, now {load:.1f}", flush=True)
-        time.sleep(_QUIET_POLL_S)
-    if load > _QUIET_LOAD:
-        print(f"the load is {load:.1f}: compare ratios and CPU seconds, not wall seconds", flush=True)
+    start, is_announced = time.monotonic(), False
+    while (busy := busy_cores(_QUIET_POLL_S)) > _QUIET_LOAD and time.monotonic() - start < _QUIET_WAIT_S:
+        if not is_announced:
+            print(f"waiting for less than {_QUIET_LOAD} busy cores, now {busy:.1f}", flush=True)
+        is_announced = True
+    if busy > _QUIET_LOAD:
+        print(f"{busy:.1f} cores are busy: compare ratios and CPU seconds, not wall seconds", flush=True)
 
 
 def results(root: Path, jobs: list[Job]) -> Iterator[tuple[Job, Run | Exception]]:
@@ -220,19 +238,15 @@ def main() -> int:
     list_jobs(jobs)
     if options.list:
         return 0
-    for command in {table.command for table in tables(ROOT)} - {job.command for job in jobs}:
-        if run := read_run(ROOT, command):
-            write_tables(ROOT, run)  # a new table may show a block of it
     for job, found in results(ROOT, jobs):
-        try:
-            if isinstance(found, Exception):
-                raise found
-            write_tables(ROOT, found)
-        except (TimeoutError, ChildProcessError, LookupError) as error:
-            failures.append(f"failed: {job.command}: {error}")
+        if isinstance(found, Exception):
+            failures.append(f"failed: {job.command}: {found}")
             print(failures[-1], flush=True)
             continue
+        store_run(ROOT, found)
+        write_tables(ROOT)
         print(f"{found.seconds:7.0f} s  {job.command}", flush=True)
+    failures += write_tables(ROOT)
     for line in (*failures, *differing_figures(ROOT)):
         print(line)
     return 1 if failures else 0

@@ -30,6 +30,7 @@ def docs(monkeypatch):
     import written_tables
 
     monkeypatch.setattr(remeasure, "_QUIET_WAIT_S", 0.0)
+    monkeypatch.setattr(remeasure, "_QUIET_POLL_S", 0.0)
     return remeasure, written_tables, stale_tables
 
 
