@@ -127,7 +127,7 @@ def run_command(root: Path, command: str, limit_s: float, environment: Mapping[s
         finally:
             _running.discard(process.pid)
         seconds = time.monotonic() - start
-        if missing := _MISSING.search(printed):
+        if program == "python" and (missing := _MISSING.search(printed)):
             raise ChildProcessError(f"a peer is needed: {missing[0]}")
         if process.returncode:
             raise ChildProcessError(f"exit code {process.returncode}: {(errors or printed).strip()[-500:]}")
