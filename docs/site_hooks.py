@@ -42,7 +42,7 @@ def _with_age(table: re.Match[str]) -> str:
     """Return a table with its commit below, if it names none or is older than its code."""
     run = read_run(_ROOT, table["command"])
     if run is None:
-        return table[0]
+        return f"{table[0]}\n\n*This table is older than the stored runs: `make measured` has not written it yet.*"
     age = "; code that this table measures has changed since" if run.changed_files(_ROOT) else ""
     if not age and "commit " in table["lines"]:
         return table[0]
