@@ -126,7 +126,9 @@ bench: $(VENV)/.all
 instructions: $(VENV)/.all
 	$(BIN)/python benchmarks/instructions.py
 
-# Run the commands behind printed measurements whose code has changed, and write what they print into the pages;
+# Run the commands behind printed measurements whose code has changed, and write what they print into the pages. The list
+# of commands with their seconds comes first; timings run alone, and the whole takes at most 2.5 hours on two quiet cores.
+# `python docs/remeasure.py --list` prints the list alone.
 # `make measured ONLY="speed tiles"` runs those whose page or command has one of these words. It installs the peers that PyPI
 # has; CloudCompare comes with Debian.
 measured: $(VENV)/.all

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from measure import limit_threads, setting
+from real_data import data_note
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -261,7 +262,7 @@ def main() -> None:
     parser.add_argument("--before", action="store_true", help="answer by the tiles of the deformation test")
     options = parser.parse_args()
     limit_threads(1)
-    print(setting(), flush=True)
+    print(setting() + data_note(), flush=True)
     texts = options.scenes.split(",") if options.scenes else QUICK_SCENES if options.quick else [""]
     chosen = [
         scene

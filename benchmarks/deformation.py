@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from measure import limit_threads, setting
+from real_data import data_note
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -148,7 +149,7 @@ def main() -> None:
     parser.add_argument("--times", action="store_true", help="only measure seconds for complete clouds")
     options = parser.parse_args()
     limit_threads(options.threads)
-    print(setting())
+    print(setting() + data_note())
     if options.domes:
         return print_domes(options.runs, options.first)
     if options.times:

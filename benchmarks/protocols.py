@@ -1,6 +1,6 @@
 """Evaluation of DTU scans by pcbench, beside the same steps with the libraries of the official Python program.
 
-    python benchmarks/protocols.py [--data ../shared/data/protocols] [--points 1000000] [--runs 3]
+    python benchmarks/protocols.py [--data PCBENCH_DATA/protocols] [--points 1000000] [--runs 3]
 
 The other side is written from the published description: scikit-learn's NearestNeighbors, or scipy's cKDTree where
 scikit-learn is not installed, a loop over points for the thinning and one over faces for the mesh. Both sides read the
@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from measure import alternate, setting
+from real_data import data_root
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.meshes import to_shape
@@ -173,7 +174,7 @@ def print_case(name: str, folder: Path, candidate: Path, runs: int, expected: di
 def main() -> None:
     """Print a table for each case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "protocols")
+    parser.add_argument("--data", type=Path, default=(data_root() or Path()) / "protocols")
     parser.add_argument("--points", type=lambda text: int(float(text)), default=1_000_000)
     parser.add_argument("--runs", type=int, default=3)
     given = parser.parse_args()
@@ -183,7 +184,7 @@ def main() -> None:
         for name in ("points007.ply", "mesh007.ply"):
             print_case(name, given.data / "dtu", given.data / "dtu" / name, given.runs, expected[name])
     else:
-        print(f"no official scores: {given.data} is absent")
+        print(f"missing: the folder {given.data} of official scores")
     if given.points:
         with tempfile.TemporaryDirectory() as folder:
             candidate = make_scan(Path(folder), given.points)

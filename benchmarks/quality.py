@@ -178,25 +178,23 @@ def main() -> None:
     parser.add_argument("--levels", action="store_true", help="also print each level")
     arguments = parser.parse_args()
     limit_threads(1)
-    print(setting())
+    print(f"{setting()}\n")
     columns = (*NAMES, "MapEval MME", "MapEval MPV")
     print(f"{'ladder':12}" + "".join(f"{name:>16}" for name in columns))
+    total = np.zeros(2)
     for name, levels, is_drift in (("noise", NOISE, False), ("drift", DRIFT, True)):
-        correlations, cpu = [], np.zeros(2)
+        correlations = []
         for seed in range(arguments.seeds):
             errors, rows, seconds = ladder(levels, seed, is_drift=is_drift)
-            cpu += seconds
+            total += seconds
             correlations.append([spearman(errors, rows[:, k]) for k in range(len(columns))])
             if arguments.levels:
                 for error, row in zip(errors, rows, strict=True):
                     print(f"   error {error:.4f}  " + "  ".join(f"{value:.5g}" for value in row))
         lowest, highest = np.min(correlations, axis=0), np.max(correlations, axis=0)
         print(f"{name:12}" + "".join(f"{f'{a:.2f} to {b:.2f}':>16}" for a, b in zip(lowest, highest, strict=True)))
-        maps = LEVELS * arguments.seeds
-        print(
-            f"   CPU seconds per map: ours (all numbers) {cpu[0] / maps:.1f}, peer at 4,000 points {cpu[1] / maps:.1f}"
-        )
-    print()
+    ours, peers = total / (2 * LEVELS * arguments.seeds)
+    print(f"\nCPU seconds per map: ours (all numbers) {ours:.1f}, peer at 4,000 points {peers:.1f}\n")
     print(f"{'known value':24}{'truth':>10}{'recovered':>20}{'largest error':>16}")
     found: dict[str, tuple[float, list[float]]] = {}
     for seed in range(arguments.seeds):

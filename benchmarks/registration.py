@@ -93,6 +93,20 @@ def run(name: str, seeds: int, *, quick: bool) -> list[dict]:
     return rows
 
 
+def print_sums(rows: list[dict], seeds: int) -> None:
+    """Print how many runs of each method are right, or wrong without a warning, over the sweeps of refinements."""
+    of_method: dict[str, list[dict]] = {}
+    for row in rows:
+        if not SWEEPS[row["sweep"]].everyone:
+            of_method.setdefault(row["method"], []).append(row)
+    complete = max(map(len, of_method.values()), default=0)
+    print(f"\n{'all starts near the pose':28}{'runs':>6}{'right':>8}{'said so':>9}{'wrong':>7}")
+    for method, its_rows in of_method.items():
+        if len(its_rows) == complete:
+            right, said, wrong = (round(seeds * sum(row[kind] for row in its_rows)) for kind in COLORS)
+            print(f"{method:28}{seeds * len(its_rows):6}{right:8}{said:9}{wrong:7}")
+
+
 def speed(runs: int) -> None:
     """Time registrations at the sizes of Gao et al. (1,270,820 and 244,849 points) from 5 degrees and 2 m."""
     scene = demo()
@@ -254,6 +268,8 @@ def main() -> None:
                 rows += run(name, 1 if options.quick else options.seeds, quick=options.quick)
                 if options.rows:
                     options.rows.write_text(json.dumps(rows))
+        if rows:
+            print_sums(rows, 1 if options.quick else options.seeds)
         if "speed" in options.only.split(","):
             speed(1 if options.quick else options.runs)
     if options.chart and rows:

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from measure import setting
+from real_data import data_note
 from registration_cases import rotation
 from registration_scenes import HELD_OUT, TUNED, Scene, available_scenes, mesh_scenes
 
@@ -137,7 +138,7 @@ def main() -> None:
     parser.add_argument("--meshes", type=Path)
     parser.add_argument("--rows", type=Path)
     options = parser.parse_args()
-    print(setting())
+    print(setting() + data_note())
     scenes = available_scenes(TUNED | HELD_OUT) | (mesh_scenes(options.meshes) if options.meshes else {})
     if options.only:
         scenes = {name: scenes[name] for name in options.only.split(",")}

@@ -1,6 +1,6 @@
 """Evaluations of ETH3D and Tanks and Temples by pcbench, beside the official programs.
 
-    python benchmarks/scan_protocols.py [--data ../shared/data/protocols] [--program ETH3DMultiViewEvaluation]
+    python benchmarks/scan_protocols.py [--data PCBENCH_DATA/protocols] [--program ETH3DMultiViewEvaluation]
         [--scan-points 4500000] [--points 2000000] [--runs 1]
 
 --data         folder with eth3d/, tnt/ and expected.json, with scores that the official programs printed; left out if
@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from measure import setting
+from real_data import data_root
 
 from pcbench import Similarity, read_cloud
 from pcbench.geometry.polygon_files import read_polygon
@@ -204,7 +205,7 @@ def refine_with_open3d(pose: np.ndarray, clouds: list[np.ndarray], threshold: fl
 def main() -> None:
     """Print all cases."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "protocols")
+    parser.add_argument("--data", type=Path, default=(data_root() or Path()) / "protocols")
     parser.add_argument("--program", type=Path)
     parser.add_argument("--scan-points", type=lambda text: int(float(text)), default=4_500_000)
     parser.add_argument("--points", type=lambda text: int(float(text)), default=2_000_000)
@@ -221,7 +222,7 @@ def main() -> None:
             print_eth3d(title, protocol, *files, given.program, given.runs, case)
         print_tnt(given.data / "tnt", expected["tnt"])
     else:
-        print(f"no official scores: {given.data} is absent")
+        print(f"missing: the folder {given.data} of official scores")
     if given.scan_points:
         with tempfile.TemporaryDirectory() as folder:
             files = make_room(Path(folder), given.scan_points, given.points)

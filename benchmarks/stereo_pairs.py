@@ -53,7 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     root = data_root()
     if root is None or not (root / "stereo").is_dir():
-        sys.exit("no stereo pairs: set PCBENCH_DATA to a folder with stereo/Art, stereo/Books and stereo/Laundry")
+        sys.exit("missing: the folder PCBENCH_DATA with stereo/Art, stereo/Books and stereo/Laundry")
     limit_threads(1)
     missing_note = "" if "OpenCV SGBM" in CONTESTANTS else "; missing: cv2 (pip install opencv-python-headless)"
     print(f"{setting()}; one thread, median of {options.runs} alternating runs{missing_note}")

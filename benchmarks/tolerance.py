@@ -19,10 +19,10 @@ from pathlib import Path
 import clouds
 import numpy as np
 from measure import alternate, setting
+from real_data import data_note, data_root
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from data_folder import data_root
 from plane_samples import coverage, directions
 
 from pcbench import compare, read_cloud
@@ -52,7 +52,7 @@ def scenes(count: int) -> Iterator[tuple[str, clouds.Points, clouds.Points]]:
 
 
 def print_coverage(runs: int, count: int) -> None:
-    print(setting())
+    print(setting() + data_note())
     print(f"{'scene':20}{'tolerance':>10}{'direction':>10}{'points':>11}{'sample':>10}{'sampled':>9}", end="")
     print(f"{'covered':>9}{'within':>9}")
     for name, reference, candidate in scenes(count):

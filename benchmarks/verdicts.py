@@ -29,12 +29,12 @@ from typing import NamedTuple
 
 import numpy as np
 from measure import setting
+from real_data import data_note, data_root
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import deformation_cases
 import pytest
-from data_folder import data_root
 from deformation_cases import NULLS, true_rms
 
 from pcbench import Cloud, read_cloud
@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1" if options.jobs > 1 else str(os.cpu_count())  # for the processes
-    print(setting())
+    print(setting() + data_note())
     groups = [case.group for case in cases(options.clouds) if options.only in case.group]
     tasks = [
         (group, number, options.first + number, options.tables) for number in range(options.runs) for group in groups

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 from measure import limit_threads, setting
-from volumes_peers import cloudcompare_version, print_peers
+from real_data import data_note, data_root
+from volumes_peers import print_peers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from data_folder import data_root
 from volume_cases import CHANGES, cases, run
 
 KINDS = ("net", "zone", "part", "fill", "cut")
@@ -31,19 +31,17 @@ def main() -> None:
     parser.add_argument("--xdem-python", type=Path, help="a Python that has xDEM; xDEM is not measured without")
     options = parser.parse_args()
     limit_threads(1)
-    print(setting())
+    print(setting() + data_note())
     if options.runs:
         _print_coverage(options.runs, options.terrains)
     data = data_root()
     if data is None:
-        print("no pairs: set PCBENCH_DATA to the folder that holds the data sets change and autzen")
         return
-    print(f"CloudCompare {cloudcompare_version()}")
     print_peers(data, options.xdem_python)
 
 
 def _print_coverage(count: int, terrains: list[str]) -> None:
-    print(f"{'terrain, errors':28}" + "".join(f"{kind:>14}" for kind in KINDS))
+    print(f"\n{'terrain, errors':28}" + "".join(f"{kind:>14}" for kind in KINDS))
     for number, (name, case) in enumerate(cases(terrains)):
         line = f"{name:28}"
         runs = [run(case, CHANGES[k % len(CHANGES)], 1000 * number + k) for k in range(count)]

@@ -53,26 +53,25 @@ def print_peers(data: Path, xdem_python: Path | None) -> None:
     """Print the table of all tools and pairs."""
     if not shutil.which("CloudCompare"):
         print("CloudCompare is not measured: no command CloudCompare (Debian: cloudcompare)")
-    if xdem_python is None:
-        print("xDEM is not measured: --xdem-python PATH names a Python with `pip install xdem[opt]`")
     for pair in pairs(data):
         print(f"\n{pair.name}: {len(pair.before):,} and {len(pair.after):,} points, exact net {pair.net:.1f} m3")
-        print("| tool | net | fill | cut | 95 % interval of net | holds the truth | error | wall s | CPU s |")
-        print("|---|---|---|---|---|---|---|---|---|")
+        print(
+            f"{'':60}{'net':>9}{'fill':>9}{'cut':>9}{'95 % of net':>14}{'held':>6}{'error':>8}{'wall s':>8}{'CPU s':>7}"
+        )
         with tempfile.TemporaryDirectory() as folder:
             for row in net_volumes(pair, Path(folder), xdem_python):
                 print(line_of(row, pair.net), flush=True)
 
 
 def line_of(row: NetVolume, true: float) -> str:
-    """Return the line of a table in Markdown."""
+    """Return the line of a table."""
     low, high = row.interval or (math.nan, math.nan)
     interval = f"[{low:.0f}, {high:.0f}]" if row.interval else "none"
     held = ("yes" if low <= true <= high else "no") if row.interval else "-"
     fill, cut = (f"{value:.1f}" if value == value else "-" for value in (row.fill, row.cut))
     return (
-        f"| {row.tool} | {row.net:.1f} | {fill} | {cut} | {interval} | {held} | {row.net - true:+.1f} |"
-        f" {row.seconds.wall:.1f} | {row.seconds.cpu:.1f} |"
+        f"{row.tool:60}{row.net:9.1f}{fill:>9}{cut:>9}{interval:>14}{held:>6}{row.net - true:+8.1f}"
+        f"{row.seconds.wall:8.1f}{row.seconds.cpu:7.1f}"
     )
 
 
@@ -104,7 +103,7 @@ def net_volumes(pair: Pair, folder: Path, xdem_python: Path | None) -> Iterator[
     result = json.loads(document.read_text())
     volumes, cell = result["changes"][0]["whole"]["volumes"], result["grid"]["cell"]
     value, low, high = volumes["net"]
-    name = f"`pcbench change`, cells of {cell:g} m"
+    name = f"pcbench change, cells of {cell:g} m"
     yield NetVolume(name, value, volumes["fill"][0], volumes["cut"][0], (low, high), Seconds(usage.wall, usage.cpu))
     if shutil.which("CloudCompare"):
         yield _by_cloudcompare(folder, files, pair, cell)
@@ -127,7 +126,9 @@ def _by_cloudcompare(folder: Path, files: list[Path], pair: Pair, cell: float) -
         float(re.search(rf"{label}:\s*(?:\([+-]\))?(-?[\d.,]+)", report)[1].replace(",", ""))
         for label in ("Volume", "Added volume", "Removed volume")
     )
-    return NetVolume("CloudCompare `-VOLUME`", -volume, removed, added, None, Seconds(usage.wall, usage.cpu))
+    return NetVolume(
+        f"CloudCompare {cloudcompare_version()} -VOLUME", -volume, removed, added, None, Seconds(usage.wall, usage.cpu)
+    )
 
 
 def _by_xdem(folder: Path, python: Path, models: tuple[str, ...]) -> NetVolume:

@@ -166,24 +166,10 @@ def breaks(folder: Path) -> None:
 
 
 def tradeoff(folder: Path) -> None:
-    """Create the charts of cheaper comparisons for the demo and for random halves of two airborne scans, print tables.
-
-    The scans are `autzen_trim.las` of PDAL and `MixedConifer.laz` of lidR, in the folder PCBENCH_DATA.
-    """
-    data = Path(os.environ.get("PCBENCH_DATA", "../shared/data"))
-    pcbench("demo --points 50000 --no-bench --no-figures --quiet --out FOLDER/demo", folder)
-    pairs = {"demo": "FOLDER/demo/clouds/reference.ply FOLDER/demo/clouds/densified.ply"}
-    for name, scan in (("autzen", "autzen/autzen_trim.las"), ("forest", "wild/MixedConifer.laz")):
-        cloud = read_cloud(data / scan)
-        rows = np.random.default_rng(0).permutation(len(cloud))
-        for half, its_rows in zip("ab", np.array_split(rows, 2), strict=True):
-            write_cloud(folder / f"{name}_{half}.ply", cloud.select(np.sort(its_rows)))
-        pairs[name] = f"FOLDER/{name}_a.ply FOLDER/{name}_b.ply"
-    for name, clouds in pairs.items():
-        print(f"{name}:", flush=True)
-        pcbench(f"tradeoff {clouds} --levels 50%,25%,10% --seeds 3 --out FOLDER/{name}_study", folder)
-        for chart in ("errors", "bias"):
-            save_compressed(folder / f"{name}_study" / "figures" / f"{chart}.png", f"tradeoff_{name}_{chart}")
+    """Create the charts of cheaper comparisons, which `benchmarks/tradeoff.py` draws beside its tables."""
+    script = Path(__file__).parents[1] / "benchmarks" / "tradeoff.py"
+    for pair in ("demo", "autzen", "forest"):
+        run([sys.executable, script, pair, "--chart", HERE], check=True)
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ _REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what 
 
 
 def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
-    """Include the files that the page names by `--8<-- "FILE"`, and say which printed tables are older than their code.
+    """Include the files that the page names by `--8<-- "FILE"`, and name the commits of printed tables.
 
     Links of included files start at the root of the repository.
     """
@@ -39,10 +39,14 @@ def included_text(text: str) -> str:
 
 
 def _with_age(table: re.Match[str]) -> str:
-    run = read_run(_ROOT, table[1])
-    if run is None or not run.changed_files(_ROOT):
+    """Return a table with its commit below, if it names none or is older than its code."""
+    run = read_run(_ROOT, table["command"])
+    if run is None:
+        return f"{table[0]}\n\n*This table is older than the stored runs: `make measured` has not written it yet.*"
+    age = "; code that this table measures has changed since" if run.changed_files(_ROOT) else ""
+    if not age and "commit " in table["lines"]:
         return table[0]
-    return f"{table[0]}\n\n*Commit {run.commit} of {run.day}; code that this table measures has changed since.*"
+    return f"{table[0]}\n\n*Commit {run.commit} of {run.day}{age}.*"
 
 
 def _marked(line: str) -> str:

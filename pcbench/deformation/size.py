@@ -53,7 +53,7 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
 
     Dense stereo and splats deviate from the truth smoothly by a fraction of their noise, and closest points fall short
     of a displacement by a few per cent. Both were measured on clouds of photographs with exact truth, see
-    `docs/measured/deformation.md`.
+    `docs/trials/deformation.md`.
     """
     error = _systematic_error(size.rms, noise)
     if size.rms == 0 or size.rms_surface is None or size.ci_surface is None:

@@ -31,7 +31,9 @@ LONG_PAGES = {
 LONG_PAGES |= {
     f"docs/tutorials/{name}.md" for name in ("developer", "photogrammetrist", "researcher", "robotics", "surveyor")
 }
+RECORDS = ROOT / "docs" / "trials"  # what was printed on a day
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [page for page in PAGES if not page.is_relative_to(RECORDS)]
 SHELL_COMMANDS = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 
 # Commands that create the inputs of several pages; each is run once.
