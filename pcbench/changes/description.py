@@ -57,11 +57,17 @@ class Shown(NamedTuple):
 
 
 class SampledPair(NamedTuple):
-    """Samples of the reference and the candidate, their tests, and the reference's normals at their points."""
+    """Samples of the reference and the candidate, their tests, and the reference's normals at their points.
+
+    Attributes:
+        samples, evidence, normals: of the reference and the candidate.
+        points: number of points among which the most significant ones are sought.
+    """
 
     samples: Sequence[Sample]
     evidence: Sequence[PointTests]
     normals: Sequence[FloatArray]
+    points: int
 
     @property
     def side(self) -> float:
@@ -85,7 +91,7 @@ class SampledPair(NamedTuple):
     def p_value(self, part: ChangedPart) -> float:
         """Return the probability that sampling and noise produce points as significant as these anywhere."""
         least = min(tests.p_value(rows) for tests, rows in zip(self.evidence, part, strict=True))
-        return min(1.0, least * sum(map(len, self.samples)))
+        return min(1.0, least * self.points)
 
 
 def describe(parts: Sequence[ChangedPart], scene: SampledPair) -> list[tuple[ChangedPart, Change | None]]:

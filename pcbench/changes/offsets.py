@@ -52,10 +52,14 @@ class OffsetTest(NamedTuple):
     Attributes:
         is_off: (N,) whether the point lies in a cell that is off the surface, on the same side.
         p: (N,) smallest p-value of its cells.
+        noise: standard deviation of a point's noise: the median of the tested cells of the smallest size.
+        scatter: standard deviation of the medians of the stable ones of these cells.
     """
 
     is_off: NDArray[np.bool_]
     p: FloatArray
+    noise: float
+    scatter: float
 
 
 def shortest_width(values: FloatArray) -> float:
@@ -67,14 +71,20 @@ def shortest_width(values: FloatArray) -> float:
     return float((ordered[count - 1 :] - ordered[: len(ordered) - count + 1]).min()) / (2 * _NULL_Z)
 
 
-def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
+def find_offsets(sample: Sample, offsets: Offsets, least_error: float = 0.0) -> OffsetTest:
     """Test cells of several sizes for an offset from zero.
 
     The standard error of a cell's median is that of independent noise in its region, or the scatter of the stable
     cells, whichever is larger: errors may be correlated within a cell.
+
+    Args:
+        sample: sample of one cloud.
+        offsets: offsets of its points.
+        least_error: smallest standard error: the scatter of the whole scene, if the sample shows a part of it.
     """
     points = sample.points
-    is_off, p = np.zeros(len(points), bool), np.ones(len(points))
+    is_off, p, widths = np.zeros(len(points), bool), np.ones(len(points)), [0.0]
+    typical_noise = 0.0
     noise, level = _regional_noise(sample, offsets), sample.smooth(offsets.signed)
     by_offset, by_own = np.argsort(offsets.signed), np.argsort(offsets.own)
     side, largest = _FIRST_SIDE * sample.side, _MAX_EXTENT_SHARE * robust_extent(points)
@@ -89,7 +99,9 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
         median = _group_quantiles(offsets.signed[rows], cell_of_point[rows], count, 0.5)
         sigma = grid.means(noise)
         relative = np.maximum(sigma / max(float(np.median(sigma[tested])), 1e-300), 1e-300)
-        scatter = relative * shortest_width((median / relative)[tested])
+        typical_noise = typical_noise or float(np.median(sigma[tested]))
+        widths.append(shortest_width((median / relative)[tested]))
+        scatter = np.maximum(relative * widths[-1], least_error)
         error = np.maximum(_MEDIAN_ERROR * sigma / np.sqrt(np.maximum(sheet, 1)), scatter) + 1e-300
         own = _group_quantiles(offsets.own[by_own], cell_of_point[by_own], count, 0.9)
         size = np.abs(median)
@@ -98,7 +110,7 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
         is_off |= hit
         p[hit] = np.minimum(p[hit], _two_sided_p((size / error)[cell_of_point[hit]]))
         side *= 2
-    return OffsetTest(is_off, p)
+    return OffsetTest(is_off, p, typical_noise, widths[min(1, len(widths) - 1)])
 
 
 def _two_sided_p(deviates: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import voxel_downsample
 
 MAX_SAMPLE = 60_000
-_SIDE_VOXELS = 1.5
+SIDE_VOXELS = 1.5
 _COUNTED_POINTS = 240_000  # even sample that fills nearly all of `MAX_SAMPLE` voxels
 _SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
 NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
@@ -34,9 +34,8 @@ class Sample:
     side: float
 
     @classmethod
-    def of(cls, surface: Surface, side: float) -> Sample:
-        """Return the sample at a length scale."""
-        rows = surface.first_in_cells(side / _SIDE_VOXELS)
+    def of(cls, surface: Surface, rows: IntArray, side: float) -> Sample:
+        """Return the sample of these points of a cloud, at a length scale."""
         return cls(rows, Index(surface.points[rows]), side)
 
     def __len__(self) -> int:
@@ -74,16 +73,21 @@ class Sample:
         return discs
 
 
-def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
-    """Return the length scale for samples of both clouds: two standard deviations of the noise or more.
+def finest_side(reference: Surface, candidate: Surface, noise: float) -> float:
+    """Return the length scale at which a sample holds nearly all points, but two standard deviations of the noise.
 
     At scales beyond the noise, the points around a point lie along the surface rather than across it.
     """
-    side = max(2 * noise, _SIDE_VOXELS * max(reference.spacing, candidate.spacing))
+    return max(2 * noise, SIDE_VOXELS * max(reference.spacing, candidate.spacing))
+
+
+def common_side(reference: Surface, candidate: Surface, finest: float) -> float:
+    """Return the length scale at which samples of both clouds have at most `MAX_SAMPLE` points, from the finest one."""
+    side = finest
     for surface in (reference, candidate):
         points = surface.index.every(max(1, len(surface) // _COUNTED_POINTS))
-        points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
+        points = points[voxel_downsample(points, side / SIDE_VOXELS)]
         while len(points) > MAX_SAMPLE:
             side *= max(1.05, float(np.sqrt(len(points) / MAX_SAMPLE)))
-            points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
+            points = points[voxel_downsample(points, side / SIDE_VOXELS)]
     return side

@@ -15,6 +15,7 @@ from pcbench.geometry.arrays import FloatArray
 
 _MIN_SHARE = 0.02  # of the points, above which a deformation may look like changes
 _MIN_REDUCTION = 0.5  # share of the changed points that a deformation has to explain
+_MAX_VARIATION = 1.25  # of a displacement over the noise, up to which small changes count
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +41,30 @@ def separate_changes(reference: Side, candidate: Side) -> SeparatedChanges:
 
     A deformed scene is off the reference in most places. So if many points changed, changes are also sought after a
     smooth displacement is removed, and if that leaves less than half of them, only those remain. A smooth model that
-    explains less is not needed: parts changed.
+    explains less is not needed: parts changed. Changes of small places are left out where the displacement exceeds the
+    noise: of a deformed scene, some places fit worse than their surroundings.
     """
-    changes = SeparatedChanges(find_changes(reference.fresh_surface, candidate.fresh_surface), None)
-    if changes.sampled.share <= _MIN_SHARE:
-        return changes
+    changes = find_changes(reference.fresh_surface, candidate.fresh_surface)
+    if changes.share <= _MIN_SHARE and changes.large is None:
+        return SeparatedChanges(changes, None)
     search = PairSearch.of(reference, candidate)
     displacement = None if search is None else search.displacement()
     if displacement is None:
-        return changes
-    others = find_changes(reference.fresh_surface, candidate.displaced(displacement))
-    is_deformed = others.share <= _MIN_REDUCTION * changes.sampled.share
-    return SeparatedChanges(others, displacement) if is_deformed else changes
+        return SeparatedChanges(changes, None)
+    assert changes.samples is not None
+    is_bent = _variation(displacement, changes.samples[1].points) > _MAX_VARIATION * changes.noise
+    if changes.share > _MIN_SHARE:
+        others = find_changes(reference.fresh_surface, candidate.displaced(displacement))
+        if others.share <= _MIN_REDUCTION * changes.share:
+            return SeparatedChanges(_without_small(others) if is_bent else others, displacement)
+    return SeparatedChanges(_without_small(changes) if is_bent else changes, None)
+
+
+def _variation(displacement: Displacement, points: FloatArray) -> float:
+    """Return the RMS deviation of the displacements of points (N, 3) from their median."""
+    vectors = displacement(points)
+    return float(np.sqrt(np.square(vectors - np.median(vectors, axis=0)).sum(axis=1).mean()))
+
+
+def _without_small(changes: SampledChanges) -> SampledChanges:
+    return changes if changes.large is None else changes.large

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
+from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
-from pcbench.geometry.voxels import voxel_downsample
+from pcbench.geometry.voxels import cells, voxel_downsample
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
@@ -167,9 +168,20 @@ class Surface:
         """Median spacing from an even sample of the points; see `median_spacing`."""
         return self.sampling.spacing
 
-    def first_in_cells(self, side: float) -> IntArray:
-        """Return the rows of the first point in each occupied cell of an edge length; see `voxel_downsample`."""
-        return voxel_downsample(self.points, side)
+    @property
+    def corner(self) -> FloatArray:
+        """Lowest corner (3,) of the points."""
+        return bounds(self.points)[0]
+
+    def first_in_cells(self, side: float, region: Region | None = None) -> IntArray:
+        """Return the rows of the first point inside a region in each occupied cell of an edge length.
+
+        Cells count from the lowest corner of all points; see `voxel_downsample`.
+        """
+        if region is None:
+            return voxel_downsample(self.points, side)
+        inside = np.flatnonzero(region.contains(self.points))
+        return inside[cells(self.points[inside], side, self.corner).first]
 
     def take_nearest_other(self) -> Matches:
         """Return the nearest other point of each point, see `Index.nearest_other`, and keep them no longer.

@@ -5,8 +5,11 @@ import pytest
 from changed_scenes import NOISE, SIZE, box, disc, ground
 from data_folder import data_folder
 
-from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, find_changes
+from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, details, find_changes, samples
 from pcbench.changes.description import convex_outline
+from pcbench.deformation.sides import Side
+from pcbench.deformation.stable import separate_changes
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.io import read_cloud
@@ -134,3 +137,50 @@ def test_outline_is_the_convex_hull():
     assert convex_outline(square) == ((0, 0), (1, 0), (1, 1), (0, 1))
     assert convex_outline(square[:2]) == ((0, 0), (1, 0))
     assert convex_outline(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == ((0, 0), (2, 2))
+
+
+@pytest.fixture
+def few_samples(monkeypatch):
+    """Limit samples to a tenth of the ground's points."""
+    for module in (samples, details):
+        monkeypatch.setattr(module, "MAX_SAMPLE", 2000)
+
+
+def small_car(candidate):
+    """Return points with a car, of which a sample of the whole scene has few points."""
+    beside = (np.abs(candidate[:, :2] - [10, 5]) > np.array(CAR[:2]) / 2).any(axis=1)
+    return np.concatenate([candidate[beside], box((10.0, 5.0), CAR, seed=9)])
+
+
+def test_a_small_object_in_a_large_scene_is_a_change(few_samples):
+    candidate = small_car(ground(2))
+    found = search(ground(1), candidate)
+    (change,) = found.found
+    assert change.kind in (ADDED, MOVED)  # its top lies above the ground that the reference shows
+    assert np.hypot(change.place[0] - 10, change.place[1] - 5) < 1
+    assert change.peak == pytest.approx(CAR[2], rel=0.3)
+    assert change.p_value < 1e-6
+    labelled = candidate[found.of_candidate == 0]
+    assert len(labelled) > 50
+    assert (np.abs(labelled[:, :2] - [10, 5]) < 4).all()
+
+
+def test_no_small_place_of_an_unchanged_scene_changed(few_samples):
+    assert not search(ground(1), ground(2)).found
+
+
+@pytest.mark.parametrize(("bend", "count"), [(0.0, 1), (2.0, 0)])
+def test_small_changes_of_a_bent_scene_do_not_count(few_samples, bend, count):
+    candidate = small_car(ground(2))
+    candidate[:, 2] += bend * np.square(candidate[:, 0] / SIZE * 2)
+    sides = (
+        Side(Surface(Index(points)), np.ones(len(points), bool), Cloud(points)) for points in (ground(1), candidate)
+    )
+    assert len(separate_changes(*sides).sampled.found) == count
+
+
+def test_places_hold_the_points_of_their_cells():
+    places = details.Places(np.array([[0, 0, 0], [2, -1, 0]]), 0.5, np.array([1.0, 1, 1]))
+    points = np.array([[1.2, 1.2, 1.2], [2.1, 0.7, 1.4], [1.6, 1.2, 1.2], [2.1, 1.2, 1.2], [-9, 0, 0]])
+    assert places.contains(points).tolist() == [True, True, False, False, False]
+    assert places.shifted(np.ones(3)).contains(points - 1).tolist() == [True, True, False, False, False]

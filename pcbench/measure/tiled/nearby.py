@@ -178,6 +178,12 @@ class TiledIndex(Index):
         """Return the number of points of the complete cloud."""
         return self._cloud.count
 
+    @property
+    def corner(self) -> FloatArray:
+        """Lowest corner (3,) of the points."""
+        corner: FloatArray = self._cloud.corners[0]
+        return corner
+
     def every(self, step: int) -> FloatArray:
         """Return every `step`-th point (M, 3) of the complete cloud, from the first one on."""
         assert self._picker is not None
@@ -228,9 +234,12 @@ class TiledIndex(Index):
         picked = PickedPoints(points, rows, classes)
         return picked.select(cells(picked.points, side, corner).first)
 
-    def first_in_cells(self, side: float) -> IntArray:
-        """Return the numbers of the first point in each occupied cell of an edge length, in the order of rows."""
-        return self.numbers_of(*self.spread(side, None, self._cloud.corners[0]))
+    def first_in_cells(self, side: float, region: Region | None) -> IntArray:
+        """Return the numbers of the first point inside a region in each occupied cell of an edge length.
+
+        They are in the order of rows.
+        """
+        return self.numbers_of(*self.spread(side, region, self._cloud.corners[0]))
 
     def fresh(self, name: str) -> TiledIndex:
         """Return an index of the same cloud with no point in memory, for places far from each other.
@@ -390,9 +399,14 @@ class TiledSurface(Surface):
                 values[unknown] = self._fits[name][rows[unknown]]
         return values
 
-    def first_in_cells(self, side: float) -> IntArray:
-        """Return the numbers of the first point in each occupied cell of an edge length."""
-        return self.index.first_in_cells(side)
+    @property
+    def corner(self) -> FloatArray:
+        """Lowest corner (3,) of the points."""
+        return self.index.corner
+
+    def first_in_cells(self, side: float, region: Region | None = None) -> IntArray:
+        """Return the numbers of the first point inside a region in each occupied cell of an edge length."""
+        return self.index.first_in_cells(side, region)
 
     def _fit(self, rows: IntArray) -> None:
         """Fit planes at the points with these numbers (M,) unless they are known."""

@@ -5,6 +5,7 @@ import pytest
 from tiled_clouds import in_this_process
 from tiled_pairs import Pair, noisy
 
+from pcbench.changes import details, samples
 from pcbench.comparison import in_tiles
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
@@ -108,6 +109,19 @@ def test_floors_and_deformation_are_those_in_memory(tmp_path, small_windows, sce
     check_assessment(pair.tiled(), pair.memory())
     if scene == "rounded":  # no deformation is followed, and what the search for changes needed does not stay in memory
         assert kept == [0, 0]
+
+
+@pytest.mark.long
+def test_small_changes_are_those_in_memory(tmp_path, small_windows, monkeypatch):
+    for module in (samples, details):
+        monkeypatch.setattr(module, "MAX_SAMPLE", 600)
+    rng = np.random.default_rng(3)
+    beside = (np.abs((candidate := ground(rng, 6000))[:, :2] - 13) > 0.5).any(axis=1)
+    block = noisy(rng, rng.random((60, 3)) * [1, 1, 0] + [12.5, 12.5, 4])
+    pair = Pair(tmp_path / "pair", ground(rng, 6000), np.concatenate([candidate[beside], block]), presets=())
+    tiled, memory = pair.tiled(tile_points=1500), pair.memory()
+    assert tiled["a"].changes.found == memory["a"].changes.found
+    assert len(memory["a"].changes.found) == 1
 
 
 @pytest.mark.long

@@ -1,0 +1,181 @@
+"""Places where a part may have changed that is too small for an even sample of the whole scene.
+
+A large scene has few sampled points on a car or a manhole cover. So some hundred thousand points of both clouds are
+compared with the other cloud, and cells in which they lie off it, unlike their surroundings, are searched again with
+all points that a finer sample holds. A place is only a suspicion: the search decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes.offsets import Offsets, shortest_width
+from pcbench.changes.samples import MAX_SAMPLE, SIDE_VOXELS
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.voxels import cells
+
+# Ratio of the length scales of the whole scene's sample and of the finer one.
+MIN_GAIN, MAX_GAIN = 1.25, 8.0
+MAX_SCREENED = 240_000  # points of each cloud
+_FAR = 2.0  # distance from the other cloud's points, in length scales of the finer sample
+_MIN_FAR = 6  # far points of a suspicious cell
+_MIN_SHEET, _MIN_T = 6, 6.0  # points on a smooth surface, and their mean offset over its standard error
+_REGION_CELLS = 25  # around a cell, whose median offset is expected in it
+_RING = 2  # cells around a suspicious one that are searched too: its surroundings decide what is normal
+_MAX_PLACES = 2_000
+_FAR_RATIO = 5.0  # and of the usual distance in the region
+_SURFACE_FOLD = 2.0  # area of the surface in a cell, over that of its face
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Cubic cells of a grid that are searched again; a `pcbench.geometry.regions.Region`.
+
+    Attributes:
+        cells: (C, 3) numbers of the cells along each axis, sorted.
+        side: edge length of a cell.
+        corner: (3,) lowest corner of the cell (0, 0, 0).
+    """
+
+    cells: IntArray
+    side: float
+    corner: FloatArray
+
+    @property
+    def text(self) -> str:
+        """Readable name."""
+        return "places"
+
+    def describe(self) -> str:
+        """Return a readable name."""
+        return "the places that are searched again"
+
+    def shifted(self, origin: FloatArray) -> Places:
+        """Return the same cells in coordinates from which `origin` (3,) has been subtracted."""
+        return Places(self.cells, self.side, self.corner - origin)
+
+    def contains(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Return the mask (N,) of the points (N, 3) inside."""
+        if not len(points):
+            return np.zeros(0, bool)
+        grid = cells(points, self.side, self.corner)
+        numbers = cell_numbers(points[grid.first], self.side, self.corner)
+        low, shape = self.cells.min(axis=0), np.ptp(self.cells, axis=0) + 1
+        near = np.flatnonzero(((numbers >= low) & (numbers < low + shape)).all(axis=1))
+        inside = np.zeros(len(numbers), bool)
+        inside[near] = np.isin(*(np.ravel_multi_index((each - low).T, shape) for each in (numbers[near], self.cells)))
+        mask: NDArray[np.bool_] = inside[grid.of_point]
+        return mask
+
+
+def cell_numbers(points: FloatArray, side: float, corner: FloatArray) -> IntArray:
+    """Return the numbers (N, 3) of the cells of points (N, 3) along each axis."""
+    return np.floor((points - corner) / side).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """Some points of a cloud beside the other one, N points.
+
+    Attributes:
+        points: (N, 3) points.
+        distances: (N,) distances to the other cloud's closest points.
+        offsets: signed distances from the other cloud's surface.
+        weight: points of the cloud that each stands for.
+    """
+
+    points: FloatArray
+    distances: FloatArray
+    offsets: Offsets
+    weight: float
+
+
+def find_places(
+    screens: tuple[Screened, Screened], side: float, finest: float, known: FloatArray, corner: FloatArray
+) -> Places | None:
+    """Return the cells that are searched again, those with the largest offsets if there are many.
+
+    Args:
+        screens: points of the reference and of the candidate.
+        side: length scale of the sample of the whole scene, the edge length of a cell.
+        finest: length scale of a sample that shows all that the points show.
+        known: (K, 3) sampled points of parts that the search of the whole scene found.
+        corner: (3,) corner of the cells.
+    """
+    points = np.concatenate([screen.points for screen in screens])
+    grid = cells(points, side, corner)
+    count = len(grid.first)
+    numbers = cell_numbers(points[grid.first], side, corner)
+    centers = (numbers + 0.5) * side + corner
+    distances = np.concatenate([screen.distances for screen in screens])
+    strength = np.maximum(
+        _far_distances(distances, grid.of_point, centers, finest), _offsets(screens, grid.of_point, centers)
+    )
+    if len(known):
+        strength[Index(known).query(centers).distances <= (_RING + 1) * side] = 0
+    order = np.argsort(-strength, kind="stable")[: np.count_nonzero(strength)]
+    weights = np.concatenate([np.full(len(screen.points), screen.weight) for screen in screens])
+    most = SIDE_VOXELS**2 * _SURFACE_FOLD * (side / finest) ** 2
+    expected = np.minimum(np.bincount(grid.of_point, weights, count) / 2, most)
+    return _largest(order, numbers, expected, side, corner)
+
+
+def _medians_around(values: FloatArray, centers: FloatArray) -> FloatArray:
+    """Return the medians (C,) of values (C,) over the region around each cell, given by its centre (C, 3)."""
+    near = Index(centers).query(centers, min(_REGION_CELLS, len(centers))).indices.reshape(len(centers), -1)
+    medians: FloatArray = np.median(values[near], axis=1)
+    return medians
+
+
+def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArray, finest: float) -> FloatArray:
+    """Return the sum (C,) of the distances of far points in each cell; 0 if they are few."""
+    count = len(centers)
+    mean = np.bincount(of_point, distances, count) / np.bincount(of_point, minlength=count)
+    far = np.maximum(_FAR * finest, _FAR_RATIO * _medians_around(mean, centers))
+    is_far = distances > far[of_point]
+    numbers = np.bincount(of_point[is_far], minlength=count)
+    return np.where(numbers >= _MIN_FAR, np.bincount(of_point[is_far], distances[is_far], count), 0.0)
+
+
+def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: FloatArray) -> FloatArray:
+    """Return the offset (C,) of each cell from its surroundings times its points; 0 if it is not significant."""
+    count = len(centers)
+    rows = np.flatnonzero(np.concatenate([screen.offsets.is_sheet for screen in screens]))
+    values = np.concatenate([screen.offsets.signed for screen in screens])[rows]
+    cell = of_point[rows]
+    numbers, strength = np.bincount(cell, minlength=count), np.zeros(count)
+    tested = np.flatnonzero(numbers >= _MIN_SHEET)
+    if not len(tested):
+        return strength
+    numbers, mean = numbers[tested], np.bincount(cell, values, count) / np.maximum(numbers, 1)
+    variance = np.bincount(cell, np.square(values - mean[cell]), count)[tested] / (numbers - 1)
+    contrast = mean[tested] - _medians_around(mean[tested], centers[tested])
+    error = np.maximum(np.sqrt(variance / numbers), shortest_width(contrast))
+    strength[tested] = np.where(np.abs(contrast) >= _MIN_T * error, np.abs(contrast) * numbers, 0.0)
+    return strength
+
+
+def _largest(
+    order: IntArray, numbers: IntArray, expected: FloatArray, side: float, corner: FloatArray
+) -> Places | None:
+    """Return the first cells in an order, with their surroundings, that a sample of limited size holds.
+
+    Args:
+        order: suspicious cells, the most suspicious one first.
+        numbers: (C, 3) numbers of all occupied cells along each axis.
+        expected: (C,) number of points that the finer sample of a cloud has in each cell.
+        side: edge length of a cell.
+        corner: (3,) corner of the cells.
+    """
+    order = order[:_MAX_PLACES]
+    if not len(order):
+        return None
+    near = Index(numbers.astype(np.float64)).query_radius(numbers[order].astype(np.float64), _RING + 0.5)
+    chosen, first = np.unique(near.indices, return_index=True)
+    chosen = chosen[np.argsort(first)]
+    fitting = chosen[np.cumsum(expected[chosen]) <= MAX_SAMPLE]
+    return Places(numbers[fitting], side, corner) if len(fitting) else None
