@@ -73,10 +73,18 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     written in place. Returned is False, and nothing is written, if a value is NaN.
     """
 
-def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.int64], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
     """
     Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts
-    2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.
+    2^(32 k - 128), in two's complement. Returned is False if a value is not finite or not below 2^96 in
+    magnitude.
+    """
+
+def add_to_pixels(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], signed_distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], west: float, south: float, pixel: float, width: int, height: int, counts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')], largest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], signed_counts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], signed_limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+    """
+    Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in
+    place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.
+    Returned is False if a distance is not finite or not below 2^96.
     """
 
 def round_exactly(limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu', writable=False)], sums: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:

@@ -14,6 +14,7 @@
 #include "pairs/exact_sums.h"
 #include "pairs/monomials.h"
 #include "pairs/pairs.h"
+#include "pairs/pixel_sums.h"
 #include "points/bounds.h"
 #include "points/cells.h"
 #include "points/kernels.h"
@@ -22,6 +23,8 @@
 namespace {
 
 using OptionalIndices = std::optional<Indices>;
+using Limbs = Out<uint32_t, nb::shape<-1, pcbench::kLimbs>>;
+using Counts = Out<int64_t, nb::shape<-1>>;
 
 // Returns `count` rows of an array: those listed in `indices`, or else all in order.
 pcbench::Rows rows_of(Points array, const OptionalIndices& indices, size_t count) {
@@ -105,7 +108,7 @@ bool order_statistics(Column values, std::optional<double> center, Indices ranks
         count, [=](size_t i) { return std::fabs(data[i] - c); }, selected.data(), rank_count, found.data());
 }
 
-bool add_exactly(Column values, Indices groups, Out<int64_t, nb::shape<-1, pcbench::kLimbs>> limbs) {
+bool add_exactly(Column values, Indices groups, Limbs limbs) {
     const size_t count = values.shape(0);
     check(groups.shape(0) == count && count <= pcbench::kMaxAdditions,
           "add_exactly: expected one group for each of at most 2^30 values");
@@ -120,6 +123,24 @@ void round_exactly(In<uint32_t, nb::shape<-1, pcbench::kLimbs>> limbs, Out<doubl
     check(sums.shape(0) == limbs.shape(0), "round_exactly: expected one result per sum");
     for (size_t i = 0; i < sums.shape(0); ++i)
         sums.data()[i] = pcbench::round_exactly(limbs.data() + pcbench::kLimbs * i);
+}
+
+bool add_to_pixels(Points points, Column distances, Column signed_distances, double west, double south, double pixel,
+                   int64_t width, int64_t height, Counts counts, Limbs limbs, Out<double, nb::shape<-1>> largest,
+                   Counts signed_counts, Limbs signed_limbs) {
+    const size_t count = points.shape(0);
+    check(distances.shape(0) == count && signed_distances.shape(0) == count && count <= pcbench::kMaxAdditions,
+          "add_to_pixels: expected one distance and one signed distance for each of at most 2^30 points");
+    check(width > 0 && height > 0, "add_to_pixels: expected a positive width and height");
+    const size_t pixels = static_cast<size_t>(width) * static_cast<size_t>(height);
+    check(counts.shape(0) == pixels && limbs.shape(0) == pixels && largest.shape(0) == pixels &&
+              signed_counts.shape(0) == pixels && signed_limbs.shape(0) == pixels,
+          "add_to_pixels: expected one sum for each pixel");
+    const nb::gil_scoped_release release;
+    return pcbench::add_to_pixels({west, south, pixel, width, height}, count, points.data(), distances.data(),
+                                  signed_distances.data(),
+                                  {counts.data(), signed_counts.data(), limbs.data(), signed_limbs.data(),
+                                   largest.data()});
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
@@ -214,7 +235,15 @@ void bind_loops(nb::module_& m) {
     m.def("add_exactly", &add_exactly, nb::arg("values").noconvert(), nb::arg("groups").noconvert(),
           nb::arg("limbs").noconvert(),
           "Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts\n"
-          "2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.");
+          "2^(32 k - 128), in two's complement. Returned is False if a value is not finite or not below 2^96 in\n"
+          "magnitude.");
+    m.def("add_to_pixels", &add_to_pixels, nb::arg("points").noconvert(), nb::arg("distances").noconvert(),
+          nb::arg("signed_distances").noconvert(), nb::arg("west"), nb::arg("south"), nb::arg("pixel"),
+          nb::arg("width"), nb::arg("height"), nb::arg("counts").noconvert(), nb::arg("limbs").noconvert(),
+          nb::arg("largest").noconvert(), nb::arg("signed_counts").noconvert(), nb::arg("signed_limbs").noconvert(),
+          "Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in\n"
+          "place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.\n"
+          "Returned is False if a distance is not finite or not below 2^96.");
     m.def("round_exactly", &round_exactly, nb::arg("limbs").noconvert(), nb::arg("sums").noconvert(),
           "Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's\n"
           "complement.");
