@@ -106,8 +106,15 @@ def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64],
 
 def normal_equations(positions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], residuals: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.float64], dict(shape=(None, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.float64], dict(shape=(None, 20, 3), order='C', device='cpu')]) -> None:
     """
-    Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of
+    Add pairs to the sums of their groups, in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of
     w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).
+    """
+
+def equal_normal_equations(places: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], queries: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], center: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu', writable=False)], radius: float, group_size: int, steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.float64], dict(shape=(None, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.float64], dict(shape=(None, 20, 3), order='C', device='cpu')]) -> None:
+    """
+    Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has
+    the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and
+    distances in units of a radius.
     """
 
 class MeshIndex:

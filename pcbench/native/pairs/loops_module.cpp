@@ -178,21 +178,28 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
     return system.radius;
 }
 
-void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts,
-                      In<int64_t, nb::shape<pcbench::kProducts - 1, 2>> steps,
-                      Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
-                      Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
+using Steps = In<int64_t, nb::shape<pcbench::kProducts - 1, 2>>;
+using Moments = Out<double, nb::shape<-1, pcbench::kProducts, 6>>;
+using Scores = Out<double, nb::shape<-1, pcbench::kMonomials, 3>>;
+
+std::array<pcbench::MonomialStep, pcbench::kProducts - 1> checked_steps(Steps steps) {
+    std::array<pcbench::MonomialStep, pcbench::kProducts - 1> checked;
+    for (size_t a = 0; a < checked.size(); ++a) {
+        checked[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
+        check(0 <= checked[a].earlier && checked[a].earlier <= static_cast<int64_t>(a) && 0 <= checked[a].axis &&
+                  checked[a].axis < 3,
+              "normal_equations: expected each monomial as an earlier one times a coordinate");
+    }
+    return checked;
+}
+
+void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts, Steps steps,
+                      Moments moments, Scores scores) {
     const size_t count = positions.shape(0), groups = starts.shape(0);
     check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
           "normal_equations: expected one row of every argument for each pair");
     check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: expected one result per group");
-    std::array<pcbench::MonomialStep, pcbench::kProducts - 1> step;
-    for (size_t a = 0; a < step.size(); ++a) {
-        step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
-        check(
-            0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
-            "normal_equations: expected each monomial as an earlier one times a coordinate");
-    }
+    const auto step = checked_steps(steps);
     std::vector<size_t> bounds(starts.data(), starts.data() + groups);
     bounds.push_back(count);
     check(std::is_sorted(bounds.begin(), bounds.end()), "normal_equations: expected ascending starts of groups");
@@ -202,6 +209,43 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
         pcbench::kernels().normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
                                             residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
                                             scores.data() + g * pcbench::kMonomials * 3);
+}
+
+void equal_normal_equations(Points places, Points normals, OptionalIndices rows, Column distances, Indices queries,
+                            In<double, nb::shape<3>> center, double radius, size_t group_size, Steps steps,
+                            Moments moments, Scores scores) {
+    const size_t count = queries.shape(0), groups = moments.shape(0);
+    check(normals.shape(0) == places.shape(0) && (rows ? rows->shape(0) : places.shape(0)) == distances.shape(0),
+          "equal_normal_equations: expected one normal for each place, and one place for each distance");
+    check(group_size > 0 && count <= groups * group_size && scores.shape(0) == groups,
+          "equal_normal_equations: expected one result for each group of queries");
+    bool in_range = true;
+    for (size_t i = 0; i < count; ++i) in_range &= static_cast<uint64_t>(queries.data()[i]) < distances.shape(0);
+    if (!in_range) throw nb::index_error("equal_normal_equations: expected queries that have distances");
+    const pcbench::Rows p = rows_of(places, rows, distances.shape(0)), n = rows_of(normals, rows, distances.shape(0));
+    const auto step = checked_steps(steps);
+    const pcbench::Vec3 origin = pcbench::vec3(center.data());
+    nb::gil_scoped_release release;
+#pragma omp parallel for schedule(dynamic) if (groups > 1)
+    for (size_t g = 0; g < groups; ++g) {
+        constexpr size_t kBlock = 256;
+        double positions[3 * kBlock], directions[3 * kBlock], residuals[kBlock], weights[kBlock];
+        std::fill_n(weights, kBlock, 1.0);
+        const size_t end = std::min(count, (g + 1) * group_size);
+        for (size_t start = g * group_size; start < end; start += kBlock) {
+            const size_t size = std::min(kBlock, end - start);
+            for (size_t i = 0; i < size; ++i) {
+                const size_t query = static_cast<size_t>(queries.data()[start + i]);
+                const pcbench::Vec3 place = p[query] - origin;
+                pcbench::write({place.x / radius, place.y / radius, place.z / radius}, positions + 3 * i);
+                pcbench::write(n[query], directions + 3 * i);
+                residuals[i] = distances.data()[query] / radius;
+            }
+            pcbench::kernels().normal_equations(0, size, positions, directions, weights, residuals, step.data(),
+                                                moments.data() + g * pcbench::kProducts * 6,
+                                                scores.data() + g * pcbench::kMonomials * 3);
+        }
+    }
 }
 
 }  // namespace
@@ -271,6 +315,13 @@ void bind_loops(nb::module_& m) {
         "normal_equations", &normal_equations, nb::arg("positions").noconvert(), nb::arg("normals").noconvert(),
         nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
         nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
-        "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
+        "Add pairs to the sums of their groups, in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
         "w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).");
+    m.def("equal_normal_equations", &equal_normal_equations, nb::arg("places").noconvert(),
+          nb::arg("normals").noconvert(), nb::arg("rows").noconvert().none(), nb::arg("distances").noconvert(),
+          nb::arg("queries").noconvert(), nb::arg("center").noconvert(), nb::arg("radius"), nb::arg("group_size"),
+          nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+          "Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has\n"
+          "the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and\n"
+          "distances in units of a radius.");
 }
