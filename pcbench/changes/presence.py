@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes.samples import Sample
+from pcbench.changes.samples import NEIGHBORS, Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
 _POINTS_PER_REGION = 50
-_BLOCK_POINTS = 32_768  # points whose counterparts are counted at a time
 _MIN_DENSITY_SHARE = 0.5  # of the scene's median ratio: a missing object must not hide itself
 
 
@@ -71,24 +69,17 @@ def find_absence(sample: Sample, other: Index) -> Absence:
         sample: sample of one cloud.
         other: sample of the other cloud, without a displacement of the scene.
     """
-    most = sample.near.distances.shape[1]
-    *in_balls, in_largest = _counterparts(sample, other, [*(ball.points for ball in BALLS), most])
-    density = _density_ratios(sample, in_largest / most)
+    in_balls = _counterparts(sample, other)
+    density = _density_ratios(sample, in_balls[-1] / BALLS[-1].points)
     share = density / (1 + density)
     p = np.stack([_at_most(counts, ball.points, share) for counts, ball in zip(in_balls, BALLS, strict=True)])
     return Absence(p[0], p < np.array([[ball.max_p] for ball in BALLS]))
 
 
-def _counterparts(sample: Sample, other: Index, sizes: Sequence[int]) -> IntArray:
-    """Return the numbers (S, N) of the other cloud's points in the balls that reach to the points of these ranks."""
-    own = sample.near.distances
-    counts = np.empty((len(sizes), len(sample)), np.int64)
-    for start in range(0, len(sample), _BLOCK_POINTS):  # to limit memory
-        block = slice(start, start + _BLOCK_POINTS)
-        queries = sample.points[block]
-        distances = other.query(queries, min(own.shape[1], len(other))).distances.reshape(len(queries), -1)
-        for row, size in enumerate(sizes):
-            counts[row, block] = (distances <= own[block, size - 1, None]).sum(axis=1)
+def _counterparts(sample: Sample, other: Index) -> IntArray:
+    """Return the numbers (B, N) of the other cloud's points in each of `BALLS`, at most those in the largest ball."""
+    reaches = sample.near.distances[:, [ball.points - 1 for ball in BALLS]]
+    counts: IntArray = np.minimum(other.count_near(sample.index, reaches), NEIGHBORS).T.copy()
     return counts
 
 
@@ -97,7 +88,7 @@ def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
     anchors = np.arange(0, len(sample), _POINTS_PER_REGION)
     regions = sample.index.query(sample.points[anchors], min(_REGION_POINTS, len(sample))).indices
     typical = np.median(ratios[regions.reshape(len(anchors), -1)], axis=1)
-    region = Index(sample.points[anchors]).query(sample.points).indices
+    region = Index(sample.points[anchors]).query_index(sample.index).indices
     regional: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
     return regional
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from pcbench.changes.parts import PointTests, connected_parts
 from pcbench.changes.presence import find_absence
 from pcbench.changes.result import STABLE, UNMATCHED, Change, Changes
 from pcbench.changes.samples import Sample, common_side
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Matches
 from pcbench.geometry.normals import Surface
 
 _MIN_POINTS = 100
@@ -67,12 +69,27 @@ class SampledChanges:
         return labels
 
 
-def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
+class ClosestPoints(NamedTuple):
+    """Closest points of two complete clouds, for callers that know them already.
+
+    Attributes:
+        to_candidate: of each point of the reference in the candidate.
+        to_reference: of each point of the candidate in the reference.
+        nearest_other: (N,) rows of the nearest other point of each point of the reference.
+    """
+
+    to_candidate: Matches
+    to_reference: Matches
+    nearest_other: IntArray
+
+
+def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints | None = None) -> SampledChanges:
     """Find the changes between a reference and an aligned candidate.
 
     Args:
         reference: points and normals of the reference.
         candidate: points of the candidate, in the same coordinates.
+        closest: their closest points; None: those of the samples are searched.
     """
     sizes, no_labels = (len(reference), len(candidate)), np.zeros(0, np.int32)
     nothing = SampledChanges((), None, (no_labels, no_labels))
@@ -82,7 +99,7 @@ def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
     samples = Sample.of(reference, side), Sample.of(candidate, side)
     if min(map(len, samples)) < _MIN_POINTS:
         return nothing
-    offsets = _offsets(reference, candidate, samples)
+    offsets = _offsets(reference, candidate, samples, closest)
     evidence = []
     for sample, other, sample_offsets in zip(samples, samples[::-1], offsets, strict=True):
         evidence.append(
@@ -112,16 +129,23 @@ def _noise(reference: Surface, candidate: Surface) -> float:
     return shortest_width(reference.plane_offsets(points, rows))
 
 
-def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) -> list[Offsets]:
+def _offsets(
+    reference: Surface, candidate: Surface, samples: Sequence[Sample], closest: ClosestPoints | None
+) -> list[Offsets]:
     """Return the signed distances of both samples from the other cloud, along the reference's normals."""
     ours, theirs = samples
-    own = _own_offsets(reference, ours)
-    back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
+    if closest is None:
+        nearest_other = reference.index.query(ours.points, 2).indices[:, 1]
+        back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
+    else:
+        nearest_other = closest.nearest_other[ours.rows]
+        back, forth = closest.to_candidate.at(ours.rows), closest.to_reference.at(theirs.rows)
+    own = _own_offsets(reference, ours, nearest_other)
     vectors = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
     offsets = []
     for sample, rows, matches, vector, self_offsets in (
         (ours, ours.rows, back, vectors[0], own),
-        (theirs, forth.indices, forth, vectors[1], own[ours.index.query(theirs.points).indices]),
+        (theirs, forth.indices, forth, vectors[1], own[ours.index.query_index(theirs.index).indices]),
     ):
         normals, variation = _oriented(reference.normals(rows)), reference.variation(rows)
         signed = np.einsum("ni,ni->n", vector, normals)
@@ -142,8 +166,7 @@ def _oriented(normals: FloatArray) -> FloatArray:
     return np.where(signs == 0, 1.0, signs) * normals
 
 
-def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
+def _own_offsets(reference: Surface, sample: Sample, nearest: IntArray) -> FloatArray:
     """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
-    nearest = reference.index.query(sample.points, 2).indices[:, 1]
     signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], _oriented(reference.normals(nearest)))
     return np.abs(sample.smooth(signed))

@@ -190,7 +190,7 @@ class PairInMemory:
     @cached_property
     def local_changes(self) -> Changes:
         """Changes between the complete clouds, in local coordinates."""
-        return find_changes(self.reference, self.aligned)
+        return find_changes(self.reference, self.aligned, self.matched)
 
     @property
     def changes(self) -> Changes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes import Changes, SampledChanges, find_changes
+from pcbench.changes import Changes, ClosestPoints, SampledChanges, find_changes
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.pairs import PairSearch
 from pcbench.deformation.sides import Side
@@ -35,14 +35,19 @@ class SeparatedChanges:
         return Changes(self.sampled.found, self.sampled.of_points(0, reference), self.of_candidate(candidate))
 
 
-def separate_changes(reference: Side, candidate: Side) -> SeparatedChanges:
+def separate_changes(reference: Side, candidate: Side, closest: ClosestPoints | None = None) -> SeparatedChanges:
     """Find the changes between a reference and its aligned candidate, in the same coordinates.
 
     A deformed scene is off the reference in most places. So if many points changed, changes are also sought after a
     smooth displacement is removed, and if that leaves less than half of them, only those remain. A smooth model that
     explains less is not needed: parts changed.
+
+    Args:
+        reference: the reference.
+        candidate: the candidate.
+        closest: closest points of the complete clouds, if they are known.
     """
-    changes = SeparatedChanges(find_changes(reference.fresh_surface, candidate.fresh_surface), None)
+    changes = SeparatedChanges(find_changes(reference.fresh_surface, candidate.fresh_surface, closest), None)
     if changes.sampled.share <= _MIN_SHARE:
         return changes
     search = PairSearch.of(reference, candidate)

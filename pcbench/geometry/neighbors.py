@@ -16,6 +16,7 @@ from pcbench.native import _core
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions"]
 
 _BLOCK_ROWS = 65_536  # rows that are drawn at a time
+_MAX_LIMITS = 8  # distances within which `Index.count_near` counts points at a time
 
 
 class Matches(NamedTuple):
@@ -23,6 +24,10 @@ class Matches(NamedTuple):
 
     distances: NDArray[np.float64]
     indices: NDArray[np.int64]
+
+    def at(self, rows: NDArray[np.int64]) -> "Matches":
+        """Return the matches of some queries, given by their rows (M,)."""
+        return Matches(self.distances[rows], self.indices[rows])
 
 
 class Neighborhoods(NamedTuple):
@@ -142,6 +147,31 @@ class Index:
             return Neighborhoods(*self._tree.in_balls(query_points, radius))
         except ValueError as error:
             _raise_bad_coordinates(error, query_points, "queries")
+
+    def count_near(self, queries: "Index", limits: ArrayLike) -> NDArray[np.int64]:
+        """Count the points within several distances of each point of another index.
+
+        Args:
+            queries: index of the query points.
+            limits: (M, S) distances from each query, at most 8; a point at exactly that distance counts.
+
+        Returns:
+            Numbers of points (M, S).
+
+        Raises:
+            InputError: a distance is negative or not finite, or there is not one row for each query.
+        """
+        distances = np.ascontiguousarray(limits, np.float64)
+        if distances.ndim != 2 or len(distances) != len(queries) or distances.shape[1] > _MAX_LIMITS:
+            raise InputError(
+                f"limits: expected up to {_MAX_LIMITS} distances for each of the {len(queries)} queries, got an array"
+                f" of shape {distances.shape}"
+            )
+        for extreme in (distances.min(initial=0), distances.max(initial=0)):
+            _check_length(float(extreme), "limits")
+        counts = np.empty(distances.shape, np.int64)
+        self._tree.count_near(queries._tree, distances, counts)
+        return counts
 
     def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
         """Find the points inside the cylinder around each origin (M, 3) along its unit axis (M, 3).

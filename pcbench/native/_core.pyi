@@ -38,6 +38,11 @@ class PointIndex:
     def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
         """Offsets (N + 1,) and the indices of points, ascending for each ball."""
 
+    def count_near(self, queries: PointIndex, limits: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], counts: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu')]) -> None:
+        """
+        Numbers of points (M, S) within distances (M, S) of the points of another index.
+        """
+
     def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
         """
         Offsets (N + 1,) and the indices of points, ascending for each cylinder.

@@ -117,6 +117,18 @@ public:
         });
     }
 
+    void count_near(const PointIndex& queries, In<double, nb::ndim<2>> limits, Out<int64_t, nb::ndim<2>> counts) const {
+        const pcbench::Tree& query_tree = queries.tree();
+        const size_t limit_count = limits.shape(1);
+        check(limits.shape(0) == query_tree.count && counts.shape(0) == query_tree.count &&
+                  counts.shape(1) == limit_count && limit_count <= pcbench::kMostLimits,
+              "count_near: expected one row per query, of at most 8 distances");
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
+            pcbench::kernels().count_near(tree(), query_tree.leaves, query_tree.leaf_count, limits.data(), limit_count,
+                                          counts.data(), interrupt);
+        });
+    }
+
     nb::tuple in_cylinders(Points origins, Points axes, double radius, double half_length) const {
         check(axes.shape(0) == origins.shape(0), "in_cylinders: expected one axis per origin");
         return query_regions(origins, [&](const pcbench::SortedPoints& sorted, int64_t* offsets, int64_t* rows,
@@ -259,6 +271,9 @@ NB_MODULE(_core, m) {
              "Offsets (N + 1,) and the indices of points, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "
                      "tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
+        .def("count_near", &PointIndex::count_near, nb::arg("queries"), nb::arg("limits").noconvert(),
+             nb::arg("counts").noconvert(),
+             "Numbers of points (M, S) within distances (M, S) of the points of another index.")
         .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
              nb::arg("radius"), nb::arg("half_length"),
              "Offsets (N + 1,) and the indices of points, ascending for each cylinder.",

@@ -218,6 +218,17 @@ def test_radius_search_equals_brute_force(shape, fraction):
     np.testing.assert_array_equal(neighborhoods.indices[slice(*neighborhoods.offsets[3:5])], np.nonzero(inside[3])[0])
 
 
+def test_counts_within_distances_equal_brute_force(shape):
+    rng = np.random.default_rng(9)
+    points = shape(rng, 400)
+    queries = near_and_far_queries(rng, points, 300)
+    distances = np.sqrt(squared_distances(queries, points))
+    limits = np.sort(distances, axis=1)[:, [0, 7, 40]]  # exactly at a point
+    limits[::5] *= rng.uniform(0, 2, limits[::5].shape)
+    expected = (distances[:, None] <= limits[:, :, None]).sum(axis=2)
+    np.testing.assert_array_equal(Index(points).count_near(Index(queries), limits), expected)
+
+
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])
 def test_cylinder_search_equals_brute_force(shape, radius, half_length):
     rng = np.random.default_rng(8)
@@ -326,6 +337,10 @@ def query_with_hint(hint):
         lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.ones((2, 1))),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.ones((3, 9))),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.full((3, 1), np.nan)),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.full((3, 1), -1.0)),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1),
         lambda: Index(np.eye(3)).query_index_with_ties(Index(np.eye(3)), -1.0),

@@ -12,6 +12,8 @@ struct Ties {
     bool* flags = nullptr;  // null if not requested
 };
 
+constexpr size_t kMostLimits = 8;
+
 struct Kernels {
     const char* name;
     bool (*sort_into_leaves)(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt&);
@@ -28,6 +30,10 @@ struct Kernels {
                      int64_t* rows, Interrupt&);
     void (*in_cylinders)(const Tree&, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
                          double half_length, int64_t* offsets, int64_t* rows, Interrupt&);
+    // `limits` and `counts` have `limit_count` <= kMostLimits columns: distances from each query, and the numbers of
+    // points within them.
+    void (*count_near)(const Tree&, const Leaf* queries, size_t leaf_count, const double* limits, size_t limit_count,
+                       int64_t* counts, Interrupt&);
     // Queries are points of the tree; `rows` holds their indices, null for all in order. Each thread has its own
     // scratch memory of plane_scratch_bytes(k). `distances` and `indices` are those of the nearest other point, and
     // `reach` is the distance of the k-th nearest point, the query included.

@@ -80,6 +80,12 @@ void golden::points() {
                              interrupt);
     });
 
+    std::vector<double> limits;
+    for (size_t i = 0; i < kQueries; ++i) limits.insert(limits.end(), {0.25, 1.25});
+    std::vector<int64_t> within(2 * kQueries);
+    kernels.count_near(tree, sorted.leaves.get(), sorted.leaf_count, limits.data(), 2, within.data(), interrupt);
+    Hash("count_near").add(within);
+
     const pcbench::ThreadScratch scratch(kernels.plane_scratch_bytes(16));
     std::vector<double> reach(kCount);
     normals.resize(3 * kCount), variation.resize(kCount), distances.resize(kCount), rows.resize(kCount);
