@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pcbench.changes.samples import NEIGHBORS, Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.order_statistics import median, medians_of_rows
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
 _POINTS_PER_REGION = 50
@@ -70,9 +71,9 @@ def find_absence(sample: Sample, other: Index) -> Absence:
         other: sample of the other cloud, without a displacement of the scene.
     """
     in_balls = _counterparts(sample, other)
-    density = _density_ratios(sample, in_balls[-1] / BALLS[-1].points)
-    share = density / (1 + density)
-    p = np.stack([_at_most(counts, ball.points, share) for counts, ball in zip(in_balls, BALLS, strict=True)])
+    densities, region = _density_ratios(sample, in_balls[-1] / BALLS[-1].points)
+    shares = densities / (1 + densities)
+    p = np.stack([_at_most(counts, ball.points, shares, region) for counts, ball in zip(in_balls, BALLS, strict=True)])
     return Absence(p[0], p < np.array([[ball.max_p] for ball in BALLS]))
 
 
@@ -83,25 +84,34 @@ def _counterparts(sample: Sample, other: Index) -> IntArray:
     return counts
 
 
-def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
-    """Return the ratio (N,) of the other cloud's density to the sample's in the region around each point."""
+def _density_ratios(sample: Sample, ratios: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return ratios (R,) of the density of the other cloud to that of the sample, and the region (N,) of each point.
+
+    Args:
+        sample: the sample.
+        ratios: (N,) ratios in the largest ball around each point.
+    """
     anchors = np.arange(0, len(sample), _POINTS_PER_REGION)
     regions = sample.index.query(sample.points[anchors], min(_REGION_POINTS, len(sample))).indices
-    typical = np.median(ratios[regions.reshape(len(anchors), -1)], axis=1)
+    typical = medians_of_rows(ratios, regions.reshape(len(anchors), -1))
     region = Index(sample.points[anchors]).query_index(sample.index).indices
-    regional: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
-    return regional
+    return np.maximum(typical, _MIN_DENSITY_SHARE * median(ratios)), region
 
 
-def _at_most(counts: IntArray, points: int, share: FloatArray) -> FloatArray:
-    """Return the probabilities (N,) that of k + n points at most n (N,) are the other cloud's, each with a share (N,).
+def _at_most(counts: IntArray, points: int, shares: FloatArray, region: IntArray) -> FloatArray:
+    """Return the probabilities (N,) that of k + n points at most n (N,) are the other cloud's.
 
     It is the probability that k points of the sample are drawn before n + 1 of the other cloud: the sum over j up to n
     of C(k - 1 + j, j) (1 - share)^k share^j.
+
+    Args:
+        counts: (N,) the numbers n.
+        points: the number k.
+        shares: (R,) share of the other cloud's points in each region.
+        region: (N,) region of each n.
     """
-    term = (1 - share) ** points
-    total = term.copy()
+    terms = [(1 - shares) ** points]
     for j in range(1, int(counts.max(initial=0)) + 1):
-        term *= share * (points - 1 + j) / j
-        total += np.where(counts >= j, term, 0.0)
-    return total
+        terms.append(terms[-1] * (shares * (points - 1 + j) / j))
+    probabilities: FloatArray = np.cumsum(terms, axis=0)[counts, region]
+    return probabilities

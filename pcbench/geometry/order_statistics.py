@@ -73,6 +73,19 @@ def median_distance(values: FloatArray, center: float = 0.0) -> float:
     return _middle(values, center)
 
 
+def medians_of_rows(values: FloatArray, rows: IntArray) -> FloatArray:
+    """Median (M,) of the values (N,) at each row of indices (M, K), K >= 1: `numpy.median(values[rows], axis=1)`.
+
+    No value is NaN.
+
+    Raises:
+        IndexError: an index is negative, or not that of a value.
+    """
+    medians = np.empty(len(rows))
+    _core.medians_of_rows(np.ascontiguousarray(values), np.ascontiguousarray(rows), medians)
+    return medians
+
+
 def _middle(values: FloatArray, center: float | None) -> float:
     count = len(values)
     low, high = _order_statistics(values, center, np.array([(count - 1) // 2, count // 2]))

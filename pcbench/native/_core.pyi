@@ -78,6 +78,11 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     written in place. Returned is False, and nothing is written, if a value is NaN.
     """
 
+def medians_of_rows(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], medians: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Median (M,) of the values (N,) at each row of indices (M, K), written in place.
+    """
+
 def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
     """
     Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts

@@ -108,6 +108,20 @@ bool order_statistics(Column values, std::optional<double> center, Indices ranks
         count, [=](size_t i) { return std::fabs(data[i] - c); }, selected.data(), rank_count, found.data());
 }
 
+void medians_of_rows(Column values, In<int64_t, nb::ndim<2>> rows, Out<double, nb::shape<-1>> medians) {
+    const size_t count = rows.shape(0), k = rows.shape(1);
+    check(k > 0 && medians.shape(0) == count, "medians_of_rows: expected one result for each row of at least one index");
+    bool in_range = true;
+    for (size_t i = 0; i < count * k; ++i) in_range &= static_cast<uint64_t>(rows.data()[i]) < values.shape(0);
+    if (!in_range) throw nb::index_error("medians_of_rows: expected indices of values");
+    std::vector<double> selected(k);
+    nb::gil_scoped_release release;
+    for (size_t i = 0; i < count; ++i) {
+        for (size_t j = 0; j < k; ++j) selected[j] = values.data()[rows.data()[i * k + j]];
+        medians.data()[i] = pcbench::median(selected.data(), selected.data() + k);
+    }
+}
+
 bool add_exactly(Column values, Indices groups, Limbs limbs) {
     const size_t count = values.shape(0);
     check(groups.shape(0) == count && count <= pcbench::kMaxAdditions,
@@ -276,6 +290,8 @@ void bind_loops(nb::module_& m) {
         nb::arg("ranks").noconvert(), nb::arg("found").noconvert(),
         "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
         "written in place. Returned is False, and nothing is written, if a value is NaN.");
+    m.def("medians_of_rows", &medians_of_rows, nb::arg("values").noconvert(), nb::arg("rows").noconvert(),
+          nb::arg("medians").noconvert(), "Median (M,) of the values (N,) at each row of indices (M, K), written in place.");
     m.def("add_exactly", &add_exactly, nb::arg("values").noconvert(), nb::arg("groups").noconvert(),
           nb::arg("limbs").noconvert(),
           "Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts\n"
