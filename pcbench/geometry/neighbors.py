@@ -4,6 +4,7 @@ Every result equals a float64 brute-force search that evaluates (dx*dx + dy*dy) 
 the lowest index, on any machine and with any number of threads.
 """
 
+import math
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -16,6 +17,7 @@ from pcbench.native import _core
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions"]
 
 _BLOCK_ROWS = 65_536  # rows that are drawn at a time
+_MAX_FILTERED = 300  # neighbours that are searched for those in a share; more take longer than an index of the share
 _MAX_LIMITS = 8  # distances within which `Index.count_near` counts points at a time
 
 
@@ -103,6 +105,38 @@ class Index:
         starts = range(0, len(self), _BLOCK_ROWS)  # to limit memory
         blocks = (np.arange(start, min(start + _BLOCK_ROWS, len(self))) for start in starts)
         return Index(self.points[np.concatenate([is_kept(block, share, seed) for block in blocks])])
+
+    def neighbors_in_share(self, queries: NDArray[np.float64], k: int, share: float, seed: int) -> NDArray[np.float64]:
+        """Find the k nearest points of each query among a random share of the points, without an index of the share.
+
+        Args:
+            queries: (M, 3) coordinates.
+            k: number of neighbours.
+            share: the share, above 0 and below 1.
+            seed: seed of the share; see `is_kept`.
+
+        Returns:
+            Coordinates (M, K, 3) of the neighbours, nearest first; K is k, or the number of points in the share.
+        """
+        count = math.ceil(1.3 * k / share)
+        indices, pending = np.empty((len(queries), k), np.int64), np.arange(len(queries))
+        while len(pending):
+            if count > min(_MAX_FILTERED, len(self)):
+                return self._neighbors_in_thinned(queries, k, share, seed)
+            near = self.query(queries[pending], count).indices
+            kept = is_kept(near, share, seed)
+            first = kept & (np.cumsum(kept, axis=1) <= k)
+            is_complete = np.count_nonzero(first, axis=1) == k
+            indices[pending[is_complete]] = near[is_complete][first[is_complete]].reshape(-1, k)
+            pending, count = pending[~is_complete], 2 * count
+        return self.points[indices]
+
+    def _neighbors_in_thinned(
+        self, queries: NDArray[np.float64], k: int, share: float, seed: int
+    ) -> NDArray[np.float64]:
+        index = self.thinned(share, seed)
+        near = index.query(queries, min(k, len(index))).indices
+        return index.points[near.reshape(len(queries), -1)]
 
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query.
