@@ -316,6 +316,10 @@ class Index:
             _raise_bad_coordinates(error, moved, "queries")
         return moved, matches
 
+    def follow(self, queries: "Index") -> "FollowedQueries":
+        """Return the points of another index as queries that move in small steps, such as those of ICP."""
+        return FollowedQueries(self, queries)
+
     def _as_hints(self, values: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
         if values is None:
             return None
@@ -331,6 +335,38 @@ class Index:
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
             raise InputError(f"{name}: expected indices from 0 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
         return np.ascontiguousarray(rows, np.int64)
+
+
+class FollowedQueries:
+    """Points of one index that move in small steps, and their nearest points in another, as `Index.nearest_of_moved`.
+
+    A search also returns how far all points but the nearest are from the query. As long as the query has moved less
+    than the nearest point is nearer, that point remains the nearest, and no search is needed.
+
+    Args:
+        index: the searched index.
+        queries: index of the query points, before any motion.
+    """
+
+    def __init__(self, index: Index, queries: Index) -> None:
+        self._index, self._queries = index, queries
+        self._places, self._clearances = np.empty((len(queries), 3)), np.zeros(len(queries))
+        self._indices: NDArray[np.int64] | None = None
+
+    def nearest(self, motion: NDArray[np.float64]) -> tuple[NDArray[np.float64], Matches]:
+        """Return the moved points (M, 3), after an affine motion (3, 4) or (4, 4), and their nearest points."""
+        index, queries = self._index, self._queries
+        if self._indices is None:  # a first step is long: it leaves no match as it was
+            moved, matches = index.nearest_of_moved(queries, motion)
+            self._indices = matches.indices.copy()
+            return moved, matches
+        moved, distances = np.empty((len(queries), 3)), np.empty(len(queries))
+        rows = np.ascontiguousarray(motion[:3], np.float64)
+        try:
+            index._tree.follow(queries._tree, rows, self._places, self._indices, self._clearances, moved, distances)
+        except ValueError as error:
+            _raise_bad_coordinates(error, moved, "queries")
+        return moved, Matches(distances, self._indices.copy())
 
 
 def is_kept(rows: NDArray[np.int64], share: float, seed: int) -> NDArray[np.bool_]:

@@ -371,6 +371,32 @@ def test_nearest_of_moved_equals_a_query_with_moved_points(shape):
         index.nearest_of_moved(source, np.hstack([rotation, np.full((3, 1), 1e200)]))
 
 
+def test_followed_queries_have_the_nearest_points_after_any_steps(shape):
+    rng = np.random.default_rng(33)
+    index, source = Index(shape(rng, 700)), Index(shape(rng, 333))
+    followed, motion = index.follow(source), np.eye(4)
+    for size in (0, 1e-1, 1e-2, 1e-3, 1e-4, 0, 1e-1, 1e-12):
+        motion[:3, 3] += size * rng.normal(size=3) * np.ptp(source.points, axis=0).max()
+        moved, matches = followed.nearest(motion)
+        expected, expected_matches = index.nearest_of_moved(source, motion)
+        np.testing.assert_array_equal(moved, expected)
+        assert_matches(matches, expected_matches)
+    alone = Index(np.zeros((1, 3))).follow(source)
+    for _ in range(3):
+        assert not alone.nearest(motion)[1].indices.any()
+    with check_error():
+        followed.nearest(np.full((3, 4), 1e200))
+
+
+@pytest.mark.parametrize(("k", "share"), [(1, 0.5), (21, 0.3), (21, 0.05), (21, 0.999), (600, 0.4)])
+def test_neighbors_in_a_share_are_those_of_a_thinned_index(shape, k, share):
+    points = shape(np.random.default_rng(34), 700)
+    thinned = Index(points).thinned(share, 3)
+    expected = thinned.query(points[:50], min(k, len(thinned))).indices.reshape(50, -1)
+    found = Index(points).neighbors_in_share(points[:50], k, share, 3)
+    np.testing.assert_array_equal(found, thinned.points[expected])
+
+
 def test_import_does_not_load_scipy():
     script = "import sys, pcbench.geometry.neighbors; print('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "False\n"

@@ -12,6 +12,14 @@ struct Ties {
     bool* flags = nullptr;  // null if not requested
 };
 
+// What earlier searches of moving queries have found. While the distance of the match, plus the distance that the query
+// has moved, is less than the clearance, no other point can be nearer.
+struct Track {
+    double* places;      // (count, 3) position of each query at its last search
+    int64_t* indices;    // its match
+    double* clearances;  // the distance of the second nearest point; 0: not searched yet
+};
+
 constexpr size_t kMostLimits = 8;
 
 struct Kernels {
@@ -20,6 +28,7 @@ struct Kernels {
     void (*build_upper_levels)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties, Interrupt&);
+    void (*follow)(const Tree&, const Leaf* queries, size_t leaf_count, const Track&, double* distances, Interrupt&);
     // Each thread has its own scratch memory of knearest_scratch_bytes(k).
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
                      double* const* scratch, Interrupt&);
