@@ -66,6 +66,13 @@ def median(values: FloatArray) -> float:
     return _middle(values, None)
 
 
+def value_of_rank(values: FloatArray, rank: int) -> float:
+    """Value of a rank, 0 the smallest, among values (N,) without NaN: `numpy.sort(values)[rank]`."""
+    if len(values) <= _MAX_PARTITIONED:
+        return float(np.partition(values, rank)[rank])
+    return float(_order_statistics(values, None, np.array([rank]))[0])
+
+
 def median_distance(values: FloatArray, center: float = 0.0) -> float:
     """Median distance of values (N,), N >= 1, from a number: `numpy.median(numpy.abs(values - center))`."""
     if len(values) <= _MAX_PARTITIONED:

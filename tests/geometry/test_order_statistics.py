@@ -74,6 +74,14 @@ def test_wrong_arguments_are_refused():
             _core.order_statistics(values, None, np.array(ranks), found)
 
 
+@pytest.mark.parametrize("most", [0, 1000])
+def test_value_of_a_rank(monkeypatch, most):
+    monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", most)
+    values = np.random.default_rng(0).normal(size=500).round(1)
+    found = [order_statistics.value_of_rank(values, rank) for rank in range(500)]
+    assert found == np.sort(values).tolist()
+
+
 @pytest.mark.parametrize("k", [1, 2, 9, 24, 400])
 def test_medians_of_rows_are_those_of_numpy(k):
     rng = np.random.default_rng(k)
