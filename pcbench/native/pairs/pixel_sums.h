@@ -41,7 +41,9 @@ inline bool add_to_pixels(const PixelGrid& grid, size_t count, const double* poi
         for (size_t i = 0; i < size; ++i) {
             pixels[i] = grid.pixel_of(points + 3 * (start + i));
             if (pixels[i] < 0) continue;  // the sums of neighbouring points may be far apart in memory
+            __builtin_prefetch(sums.counts + pixels[i], 1), __builtin_prefetch(sums.largest + pixels[i], 1);
             __builtin_prefetch(sums.limbs + kLimbs * pixels[i], 1);
+            __builtin_prefetch(sums.signed_counts + pixels[i], 1);
             __builtin_prefetch(sums.signed_limbs + kLimbs * pixels[i], 1);
         }
         for (size_t i = 0; i < size; ++i) {
