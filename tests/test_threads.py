@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from pcbench import threads
+from pcbench import compare, threads
 
 
 @pytest.fixture
@@ -58,3 +58,17 @@ def test_another_library_is_left_alone(monkeypatch):
     monkeypatch.setattr(threads, "_blas_threads", lambda: None)
     with threads.one_blas_thread():
         assert np.linalg.inv(np.eye(2)).tolist() == [[1, 0], [0, 1]]
+
+
+def test_candidates_are_compared_with_one_thread(blas):
+    threads_by_step = []
+    points = np.random.default_rng(0).random((200, 3))
+    compare(
+        points,
+        points + 0.01,
+        register="none",
+        deformation=False,
+        on_step=lambda step: threads_by_step.append((step, blas.get())),
+    )
+    assert {count for step, count in threads_by_step if step.startswith("candidate")} == {1}
+    assert blas.get() == 2

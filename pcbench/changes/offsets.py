@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.geometry.order_statistics import NORMAL_MAD, medians_of_rows
 from pcbench.geometry.voxels import cells, robust_extent
 
 _FIRST_SIDE = 4.0  # side of the smallest cells, in voxels of the sample; the others are twice as large, and so on
@@ -133,7 +133,7 @@ def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
         return np.full(len(sample), shortest_width(offsets.signed))
     places = np.stack([grid.means(sample.points[:, axis]) for axis in range(3)], axis=1)
     around = Index(places[populated]).query(places, min(_REGION_CELLS, len(populated))).indices.reshape(count, -1)
-    noise: FloatArray = NORMAL_MAD * np.median(spread[populated][around], axis=1)[grid.of_point]
+    noise: FloatArray = NORMAL_MAD * medians_of_rows(spread[populated], around)[grid.of_point]
     # Where planes are exact, the noise of a region is zero, but not that of the scene.
     least = max(_MIN_NOISE_SHARE * float(np.percentile(noise[sheet], 75)), _MIN_NOISE_SPACINGS * sample.side)
     return np.maximum(noise, least)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes.samples import Sample
+from pcbench.changes.samples import NEIGHBORS, Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.order_statistics import median, medians_of_rows
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
 _POINTS_PER_REGION = 50
-_BLOCK_POINTS = 32_768  # points whose counterparts are counted at a time
 _MIN_DENSITY_SHARE = 0.5  # of the scene's median ratio: a missing object must not hide itself
 
 
@@ -71,46 +70,48 @@ def find_absence(sample: Sample, other: Index) -> Absence:
         sample: sample of one cloud.
         other: sample of the other cloud, without a displacement of the scene.
     """
-    most = sample.near.distances.shape[1]
-    *in_balls, in_largest = _counterparts(sample, other, [*(ball.points for ball in BALLS), most])
-    density = _density_ratios(sample, in_largest / most)
-    share = density / (1 + density)
-    p = np.stack([_at_most(counts, ball.points, share) for counts, ball in zip(in_balls, BALLS, strict=True)])
+    in_balls = _counterparts(sample, other)
+    densities, region = _density_ratios(sample, in_balls[-1] / BALLS[-1].points)
+    shares = densities / (1 + densities)
+    p = np.stack([_at_most(counts, ball.points, shares, region) for counts, ball in zip(in_balls, BALLS, strict=True)])
     return Absence(p[0], p < np.array([[ball.max_p] for ball in BALLS]))
 
 
-def _counterparts(sample: Sample, other: Index, sizes: Sequence[int]) -> IntArray:
-    """Return the numbers (S, N) of the other cloud's points in the balls that reach to the points of these ranks."""
-    own = sample.near.distances
-    counts = np.empty((len(sizes), len(sample)), np.int64)
-    for start in range(0, len(sample), _BLOCK_POINTS):  # to limit memory
-        block = slice(start, start + _BLOCK_POINTS)
-        queries = sample.points[block]
-        distances = other.query(queries, min(own.shape[1], len(other))).distances.reshape(len(queries), -1)
-        for row, size in enumerate(sizes):
-            counts[row, block] = (distances <= own[block, size - 1, None]).sum(axis=1)
+def _counterparts(sample: Sample, other: Index) -> IntArray:
+    """Return the numbers (B, N) of the other cloud's points in each of `BALLS`, at most those in the largest ball."""
+    reaches = sample.near.distances[:, [ball.points - 1 for ball in BALLS]]
+    counts: IntArray = np.minimum(other.count_near(sample.index, reaches), NEIGHBORS).T.copy()
     return counts
 
 
-def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
-    """Return the ratio (N,) of the other cloud's density to the sample's in the region around each point."""
+def _density_ratios(sample: Sample, ratios: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return ratios (R,) of the density of the other cloud to that of the sample, and the region (N,) of each point.
+
+    Args:
+        sample: the sample.
+        ratios: (N,) ratios in the largest ball around each point.
+    """
     anchors = np.arange(0, len(sample), _POINTS_PER_REGION)
     regions = sample.index.query(sample.points[anchors], min(_REGION_POINTS, len(sample))).indices
-    typical = np.median(ratios[regions.reshape(len(anchors), -1)], axis=1)
-    region = Index(sample.points[anchors]).query(sample.points).indices
-    regional: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
-    return regional
+    typical = medians_of_rows(ratios, regions.reshape(len(anchors), -1))
+    region = Index(sample.points[anchors]).query_index(sample.index).indices
+    return np.maximum(typical, _MIN_DENSITY_SHARE * median(ratios)), region
 
 
-def _at_most(counts: IntArray, points: int, share: FloatArray) -> FloatArray:
-    """Return the probabilities (N,) that of k + n points at most n (N,) are the other cloud's, each with a share (N,).
+def _at_most(counts: IntArray, points: int, shares: FloatArray, region: IntArray) -> FloatArray:
+    """Return the probabilities (N,) that of k + n points at most n (N,) are the other cloud's.
 
     It is the probability that k points of the sample are drawn before n + 1 of the other cloud: the sum over j up to n
     of C(k - 1 + j, j) (1 - share)^k share^j.
+
+    Args:
+        counts: (N,) the numbers n.
+        points: the number k.
+        shares: (R,) share of the other cloud's points in each region.
+        region: (N,) region of each n.
     """
-    term = (1 - share) ** points
-    total = term.copy()
+    terms = [(1 - shares) ** points]
     for j in range(1, int(counts.max(initial=0)) + 1):
-        term *= share * (points - 1 + j) / j
-        total += np.where(counts >= j, term, 0.0)
-    return total
+        terms.append(terms[-1] * (shares * (points - 1 + j) / j))
+    probabilities: FloatArray = np.cumsum(terms, axis=0)[counts, region]
+    return probabilities

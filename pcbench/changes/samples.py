@@ -10,6 +10,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.order_statistics import medians_of_rows
 from pcbench.geometry.voxels import voxel_downsample
 
 MAX_SAMPLE = 60_000
@@ -48,12 +49,13 @@ class Sample:
 
     @cached_property
     def near(self) -> Matches:
-        """Distances (N, K) of the nearest other points in the sample, K of at most `NEIGHBORS`, and the first indices.
+        """Distances (N, K) of the nearest other points in the sample, K of at most `NEIGHBORS`, and some indices.
 
-        The indices (N, 8) are those over which distances are smoothed: all would take as much memory as the distances.
+        The indices (N, 9) are those over which distances are smoothed: the point itself and the nearest others.
         """
         matches = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
-        return Matches(matches.distances[:, 1:], matches.indices[:, 1 : 1 + _SMOOTHED_POINTS].copy())
+        smoothed = np.column_stack([np.arange(len(self)), matches.indices[:, 1 : 1 + _SMOOTHED_POINTS]])
+        return Matches(matches.distances[:, 1:], smoothed)
 
     @property
     def reach(self) -> FloatArray:
@@ -62,9 +64,7 @@ class Sample:
 
     def smooth(self, values: FloatArray) -> FloatArray:
         """Return the median (N,) of values (N,) over each point and its nearest ones."""
-        rows = np.column_stack([np.arange(len(self)), self.near.indices])
-        medians: FloatArray = np.median(values[rows], axis=1)
-        return medians
+        return medians_of_rows(values, self.near.indices)
 
     @cached_property
     def areas(self) -> FloatArray:

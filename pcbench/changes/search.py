@@ -26,7 +26,7 @@ from pcbench.changes.presence import find_absence
 from pcbench.changes.result import STABLE, UNMATCHED, Change, Changes
 from pcbench.changes.samples import SIDE_VOXELS, Sample, common_side, finest_side
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region
 
@@ -110,12 +110,27 @@ class SampleSearch(NamedTuple):
         return labels
 
 
-def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
+class ClosestPoints(NamedTuple):
+    """Closest points of two complete clouds, for callers that know them already.
+
+    Attributes:
+        to_candidate: of each point of the reference in the candidate.
+        to_reference: of each point of the candidate in the reference.
+        nearest_other: (N,) rows of the nearest other point of each point of the reference.
+    """
+
+    to_candidate: Matches
+    to_reference: Matches
+    nearest_other: IntArray
+
+
+def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints | None = None) -> SampledChanges:
     """Find the changes between a reference and an aligned candidate.
 
     Args:
         reference: points and normals of the reference.
         candidate: points of the candidate, in the same coordinates.
+        closest: their closest points; None: those of the samples are searched.
     """
     if min(len(reference), len(candidate)) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
         return SampledChanges.none()
@@ -124,11 +139,11 @@ def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
     samples = _samples(reference, candidate, side)
     if samples is None:
         return SampledChanges.none()
-    whole, details = _search(reference, candidate, samples), None
+    whole, details = _search(reference, candidate, samples, closest), None
     finer = max(finest, side / MAX_GAIN)
-    places = _places(reference, candidate, whole, finer) if side >= MIN_GAIN * finest else None
+    places = _places(reference, candidate, closest, whole, finer) if side >= MIN_GAIN * finest else None
     if places is not None and (samples := _samples(reference, candidate, finer, places)) is not None:
-        details = _search_details(reference, candidate, samples, whole.scatter)
+        details = _search_details(reference, candidate, samples, closest, whole.scatter)
     large = _sampled_changes(whole)
     if details is None or places is None or not details.changes:
         return large
@@ -167,6 +182,7 @@ def _search(
     reference: Surface,
     candidate: Surface,
     samples: tuple[Sample, Sample],
+    closest: ClosestPoints | None,
     points: int | None = None,
     least_error: float = 0.0,
 ) -> SampleSearch:
@@ -176,10 +192,11 @@ def _search(
         reference: the reference.
         candidate: the aligned candidate.
         samples: their samples.
+        closest: closest points of the complete clouds, if they are known.
         points: number of points among which the most significant ones are sought; None: the samples.
         least_error: smallest standard error of an offset.
     """
-    offsets = _offsets(reference, candidate, samples)
+    offsets = _offsets(reference, candidate, samples, closest)
     evidence = []
     for sample, other, sample_offsets in zip(samples, samples[::-1], offsets, strict=True):
         test = find_offsets(sample, sample_offsets, least_error)
@@ -191,15 +208,21 @@ def _search(
 
 
 def _search_details(
-    reference: Surface, candidate: Surface, samples: tuple[Sample, Sample], scatter: float
+    reference: Surface,
+    candidate: Surface,
+    samples: tuple[Sample, Sample],
+    closest: ClosestPoints | None,
+    scatter: float,
 ) -> SampleSearch:
     """Search the changes between samples of suspicious places, which stand for all points of both clouds."""
-    search = _search(reference, candidate, samples, len(reference) + len(candidate), scatter)
+    search = _search(reference, candidate, samples, closest, len(reference) + len(candidate), scatter)
     described = [(part, change) for part, change in search.described if change is None or change.p_value <= _MAX_P]
     return search._replace(described=described)
 
 
-def _places(reference: Surface, candidate: Surface, whole: SampleSearch, finer: float) -> Places | None:
+def _places(
+    reference: Surface, candidate: Surface, closest: ClosestPoints | None, whole: SampleSearch, finer: float
+) -> Places | None:
     """Return the places where a small part may have changed."""
     screens = []
     known = [
@@ -207,10 +230,15 @@ def _places(reference: Surface, candidate: Surface, whole: SampleSearch, finer: 
         for which, sample in enumerate(whole.samples)
         if whole.described
     ]
-    for surface, other, sign in ((reference, candidate, 1.0), (candidate, reference, -1.0)):
+    to_candidate, to_reference = (None, None) if closest is None else (closest.to_candidate, closest.to_reference)
+    for surface, other, known_matches, sign in (
+        (reference, candidate, to_candidate, 1.0),
+        (candidate, reference, to_reference, -1.0),
+    ):
         step = max(1, len(surface) // MAX_SCREENED)
         points = surface.index.every(step)
-        matches = other.index.query(points)
+        every = np.arange(0, len(surface), step)
+        matches = other.index.query(points) if known_matches is None else known_matches.at(every)
         rows = surface.index.query(points).indices if sign > 0 else matches.indices
         vectors = sign * (other.index.points[matches.indices] - points)
         offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
@@ -227,13 +255,20 @@ def _noise(reference: Surface, candidate: Surface) -> float:
     return shortest_width(reference.plane_offsets(points, rows))
 
 
-def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) -> list[Offsets]:
+def _offsets(
+    reference: Surface, candidate: Surface, samples: Sequence[Sample], closest: ClosestPoints | None
+) -> list[Offsets]:
     """Return the signed distances of both samples from the other cloud, along the reference's normals."""
     ours, theirs = samples
-    own = _own_offsets(reference, ours)
-    back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
+    if closest is None:
+        nearest_other = reference.index.query(ours.points, 2).indices[:, 1]
+        back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
+    else:
+        nearest_other = closest.nearest_other[ours.rows]
+        back, forth = closest.to_candidate.at(ours.rows), closest.to_reference.at(theirs.rows)
+    own = _own_offsets(reference, ours, nearest_other)
     vectors = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
-    self_offsets = own[ours.index.query(theirs.points).indices]
+    self_offsets = own[ours.index.query_index(theirs.index).indices]
     return [
         _signed(reference, ours.rows, vectors[0], back.distances, ours.side, own),
         _signed(reference, forth.indices, vectors[1], forth.distances, theirs.side, self_offsets),
@@ -270,8 +305,7 @@ def _oriented(normals: FloatArray) -> FloatArray:
     return np.where(signs == 0, 1.0, signs) * normals
 
 
-def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
+def _own_offsets(reference: Surface, sample: Sample, nearest: IntArray) -> FloatArray:
     """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
-    nearest = reference.index.query(sample.points, 2).indices[:, 1]
     signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], _oriented(reference.normals(nearest)))
     return np.abs(sample.smooth(signed))

@@ -43,12 +43,12 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import DirectedBudget
 from pcbench.measure.settings import Settings
 from pcbench.measure.summaries import DirectionSummary, summarize
-from pcbench.measure.tiled.overview import OverviewSums, PixelGrid, PixelSums, along_upward_normals
+from pcbench.measure.tiled.overview import OverviewSums, PixelGrid, along_upward_normals
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.systems import release_free_memory
 
-_BLOCK_QUERIES = 1 << 21  # queries of a raster at a time: sums of smaller blocks take more memory than they save
+_BLOCK_QUERIES = 1 << 16  # queries that are added to a raster at a time
 
 
 def compare_in_memory(
@@ -190,7 +190,7 @@ class PairInMemory:
     @cached_property
     def local_changes(self) -> Changes:
         """Changes between the complete clouds, in local coordinates."""
-        return find_changes(self.reference, self.aligned)
+        return find_changes(self.reference, self.aligned, self.matched)
 
     @property
     def changes(self) -> Changes:
@@ -248,20 +248,17 @@ class PairInMemory:
         reference = self.reference
         pixels = PixelGrid.covering(reference.points, *bounds(reference.points), reference.spacing)
 
-        def sums(direction: Direction, tangents: IntArray | None, sign: int, block: slice) -> PixelSums:
-            """Return the sums of some queries, whose planes are those at rows (M,) of the reference, or at all."""
-            points, distances = direction.points[block], direction.distances
-            signed = np.full(len(points), np.nan)
-            if isinstance(distances.to_planes, np.ndarray):
-                normals = reference.surface.compute_normals(tangents)[block if tangents is None else tangents[block]]
-                signed = sign * along_upward_normals(distances.to_planes[block], normals)
-            return PixelSums.of(pixels, points, distances.to_points[block], signed)
-
         def overview(direction: Direction, tangents: IntArray | None, sign: int) -> MapOverview:
-            """Return the raster of a direction, block by block to limit memory: the sums are exact."""
-            total = OverviewSums(pixels)
-            for start in range(0, len(direction.points), _BLOCK_QUERIES):
-                total.add(sums(direction, tangents, sign, slice(start, start + _BLOCK_QUERIES)))
+            """Return the raster of a direction, whose planes are those at rows (M,) of the reference, or at all."""
+            total, distances = OverviewSums(pixels), direction.distances
+            for start in range(0, len(direction.points), _BLOCK_QUERIES):  # to limit memory
+                block = slice(start, start + _BLOCK_QUERIES)
+                signed = np.full(len(direction.points[block]), np.nan)
+                if isinstance(distances.to_planes, np.ndarray):
+                    normals = reference.surface.compute_normals(tangents)
+                    normals = normals[block if tangents is None else tangents[block]]
+                    signed = sign * along_upward_normals(distances.to_planes[block], normals)
+                total.add_points(direction.points[block], distances.to_points[block], signed)
             return total.overview(reference.origin)
 
         forth, back = self.directions

@@ -27,6 +27,7 @@ from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.summaries import DirectionSummary
 from pcbench.registration import Registration
 from pcbench.systems import peak_memory
+from pcbench.threads import one_blas_thread
 
 
 class PreparedReference(Protocol):
@@ -134,6 +135,7 @@ class ComparedCandidates(NamedTuple):
     differences: tuple[Difference, ...]
 
 
+@one_blas_thread()
 def compare_candidates(
     reference: PreparedReference,
     names: Sequence[str],

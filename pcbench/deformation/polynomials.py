@@ -7,8 +7,9 @@ three. Coefficients are stored as (60,), the three components of a monomial toge
 
 from __future__ import annotations
 
+import math
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,26 @@ _DERIVATIVES = np.array(
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
 _DIGIT = 2.0**20  # base of digits: a sum of 4,096 products of two of them stays below 2^53
 _EXACT_PAIRS = 4_096
+_GROUP_PAIRS = 65_536
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
+
+
+class Planes(NamedTuple):
+    """Planes that distances are measured to, and the frame in which fields are polynomials of their places.
+
+    Attributes:
+        places: (P, 3) points of the planes.
+        normals: (P, 3) their unit normals.
+        rows: (M,) row of the plane of each distance; None: all in order.
+        center: (3,) origin of the frame.
+        radius: unit of the frame, in which places lie between about -1 and 1.
+    """
+
+    places: FloatArray
+    normals: FloatArray
+    rows: IntArray | None
+    center: FloatArray
+    radius: float
 
 
 def monomials(places: FloatArray, number: int = len(EXPONENTS)) -> FloatArray:
@@ -79,40 +99,60 @@ def normal_equations(
     Returns:
         Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, the right-hand side.
     """
-    moments = np.empty((len(starts), len(_PRODUCTS), 6))
-    scores = np.empty((len(starts), len(EXPONENTS), 3))
+    moments, scores = np.zeros((len(starts), len(_PRODUCTS), 6)), np.zeros((len(starts), len(EXPONENTS), 3))
     places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
     _core.normal_equations(places, normals, weights, residuals, starts, np.array(_RECURRENCE), moments, scores)
     return moments, scores
 
 
-def equal_normal_equations(
-    places: FloatArray, normals: FloatArray, residuals: FloatArray
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Accumulate normal equations of pairs of equal weight: moments (84, 6) and scores (20, 3)."""
-    moments, scores = normal_equations(places, normals, np.ones(len(places)), residuals)
-    return moments[0], scores[0]
+def equal_normal_equations(planes: Planes, distances: FloatArray, queries: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Accumulate normal equations of pairs of equal weight: moments (84, 6) and scores (20, 3).
+
+    Args:
+        planes: places and normals.
+        distances: (M,) distances along the normals, in the unit of the places.
+        queries: (N,) rows of the distances that count.
+    """
+    groups = max(1, math.ceil(len(queries) / _GROUP_PAIRS))  # their sums limit rounding errors
+    moments, scores = np.zeros((groups, len(_PRODUCTS), 6)), np.zeros((groups, len(EXPONENTS), 3))
+    _core.equal_normal_equations(
+        np.ascontiguousarray(planes.places),
+        np.ascontiguousarray(planes.normals),
+        None if planes.rows is None else np.ascontiguousarray(planes.rows),
+        np.ascontiguousarray(distances),
+        queries,
+        planes.center,
+        planes.radius,
+        _GROUP_PAIRS,
+        np.array(_RECURRENCE),
+        moments,
+        scores,
+    )
+    return np.add.reduce(moments, axis=0), np.add.reduce(scores, axis=0)
 
 
 def whole_normal_equations(
-    places: FloatArray, normals: FloatArray, residuals: FloatArray
+    planes: Planes, distances: FloatArray, queries: IntArray
 ) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
     """Accumulate normal equations of pairs of equal weight, in whole numbers: in any order, they add up to the same.
 
     Args:
-        places: (N, 3) positions from -1 to 1.
-        normals: (N, 3) unit normals.
-        residuals: (N,) residuals along the normals, in the unit of the positions.
+        planes: places, from -1 to 1 in the unit of their radius, and normals.
+        distances: (M,) distances along the normals, in the unit of the places.
+        queries: (N,) rows of the distances that count.
 
     Returns:
         Moments (3, 84, 6) and scores (4, 20, 3) as from `normal_equations`, as digits, see `value_of_digits`.
     """
     moments, scores = np.zeros((3, len(_PRODUCTS), 6), object), np.zeros((4, len(EXPONENTS), 3), object)
     rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-    for start in range(0, len(places), _EXACT_PAIRS):
-        some = slice(start, start + _EXACT_PAIRS)
-        n, values = normals[some], _digits(monomials(places[some], len(_PRODUCTS)), 2)
-        products, loads = _digits(n[:, rows] * n[:, columns], 2), _digits(residuals[some, None] * n, 3)
+    for start in range(0, len(queries), _EXACT_PAIRS):
+        some = queries[start : start + _EXACT_PAIRS]
+        place = some if planes.rows is None else planes.rows[some]
+        here, n = (planes.places[place] - planes.center) / planes.radius, planes.normals[place]
+        values = _digits(monomials(here, len(_PRODUCTS)), 2)
+        loads = _digits((distances[some] / planes.radius)[:, None] * n, 3)
+        products = _digits(n[:, rows] * n[:, columns], 2)
         for i, value in enumerate(values):
             for j, digit in enumerate(products):
                 moments[i + j] += (value @ digit).astype(np.int64)

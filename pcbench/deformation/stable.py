@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes import Changes, SampledChanges, find_changes
+from pcbench.changes import Changes, ClosestPoints, SampledChanges, find_changes
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.pairs import PairSearch
 from pcbench.deformation.sides import Side
@@ -36,15 +36,20 @@ class SeparatedChanges:
         return Changes(self.sampled.found, self.sampled.of_points(0, reference), self.of_candidate(candidate))
 
 
-def separate_changes(reference: Side, candidate: Side) -> SeparatedChanges:
+def separate_changes(reference: Side, candidate: Side, closest: ClosestPoints | None = None) -> SeparatedChanges:
     """Find the changes between a reference and its aligned candidate, in the same coordinates.
 
     A deformed scene is off the reference in most places. So if many points changed, changes are also sought after a
     smooth displacement is removed, and if that leaves less than half of them, only those remain. A smooth model that
     explains less is not needed: parts changed. Changes of small places are left out where the displacement exceeds the
     noise: of a deformed scene, some places fit worse than their surroundings.
+
+    Args:
+        reference: the reference.
+        candidate: the candidate.
+        closest: closest points of the complete clouds, if they are known.
     """
-    changes = find_changes(reference.fresh_surface, candidate.fresh_surface)
+    changes = find_changes(reference.fresh_surface, candidate.fresh_surface, closest)
     if changes.share <= _MIN_SHARE and changes.large is None:
         return SeparatedChanges(changes, None)
     search = PairSearch.of(reference, candidate)

@@ -4,6 +4,7 @@ Every result equals a float64 brute-force search that evaluates (dx*dx + dy*dy) 
 the lowest index, on any machine and with any number of threads.
 """
 
+import math
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -16,6 +17,8 @@ from pcbench.native import _core
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions"]
 
 _BLOCK_ROWS = 65_536  # rows that are drawn at a time
+_MAX_FILTERED = 300  # neighbours that are searched for those in a share; more take longer than an index of the share
+_MAX_LIMITS = 8  # distances within which `Index.count_near` counts points at a time
 
 
 class Matches(NamedTuple):
@@ -23,6 +26,10 @@ class Matches(NamedTuple):
 
     distances: NDArray[np.float64]
     indices: NDArray[np.int64]
+
+    def at(self, rows: NDArray[np.int64]) -> "Matches":
+        """Return the matches of some queries, given by their rows (M,)."""
+        return Matches(self.distances[rows], self.indices[rows])
 
 
 class Neighborhoods(NamedTuple):
@@ -99,6 +106,38 @@ class Index:
         blocks = (np.arange(start, min(start + _BLOCK_ROWS, len(self))) for start in starts)
         return Index(self.points[np.concatenate([is_kept(block, share, seed) for block in blocks])])
 
+    def neighbors_in_share(self, queries: NDArray[np.float64], k: int, share: float, seed: int) -> NDArray[np.float64]:
+        """Find the k nearest points of each query among a random share of the points, without an index of the share.
+
+        Args:
+            queries: (M, 3) coordinates.
+            k: number of neighbours.
+            share: the share, above 0 and below 1.
+            seed: seed of the share; see `is_kept`.
+
+        Returns:
+            Coordinates (M, K, 3) of the neighbours, nearest first; K is k, or the number of points in the share.
+        """
+        count = math.ceil(1.3 * k / share)
+        indices, pending = np.empty((len(queries), k), np.int64), np.arange(len(queries))
+        while len(pending):
+            if count > min(_MAX_FILTERED, len(self)):
+                return self._neighbors_in_thinned(queries, k, share, seed)
+            near = self.query(queries[pending], count).indices
+            kept = is_kept(near, share, seed)
+            first = kept & (np.cumsum(kept, axis=1) <= k)
+            is_complete = np.count_nonzero(first, axis=1) == k
+            indices[pending[is_complete]] = near[is_complete][first[is_complete]].reshape(-1, k)
+            pending, count = pending[~is_complete], 2 * count
+        return self.points[indices]
+
+    def _neighbors_in_thinned(
+        self, queries: NDArray[np.float64], k: int, share: float, seed: int
+    ) -> NDArray[np.float64]:
+        index = self.thinned(share, seed)
+        near = index.query(queries, min(k, len(index))).indices
+        return index.points[near.reshape(len(queries), -1)]
+
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query.
 
@@ -142,6 +181,31 @@ class Index:
             return Neighborhoods(*self._tree.in_balls(query_points, radius))
         except ValueError as error:
             _raise_bad_coordinates(error, query_points, "queries")
+
+    def count_near(self, queries: "Index", limits: ArrayLike) -> NDArray[np.int64]:
+        """Count the points within several distances of each point of another index.
+
+        Args:
+            queries: index of the query points.
+            limits: (M, S) distances from each query, at most 8; a point at exactly that distance counts.
+
+        Returns:
+            Numbers of points (M, S).
+
+        Raises:
+            InputError: a distance is negative or not finite, or there is not one row for each query.
+        """
+        distances = np.ascontiguousarray(limits, np.float64)
+        if distances.ndim != 2 or len(distances) != len(queries) or distances.shape[1] > _MAX_LIMITS:
+            raise InputError(
+                f"limits: expected up to {_MAX_LIMITS} distances for each of the {len(queries)} queries, got an array"
+                f" of shape {distances.shape}"
+            )
+        for extreme in (distances.min(initial=0), distances.max(initial=0)):
+            _check_length(float(extreme), "limits")
+        counts = np.empty(distances.shape, np.int64)
+        self._tree.count_near(queries._tree, distances, counts)
+        return counts
 
     def query_cylinder(self, origins: ArrayLike, axes: ArrayLike, radius: float, half_length: float) -> Neighborhoods:
         """Find the points inside the cylinder around each origin (M, 3) along its unit axis (M, 3).
@@ -252,6 +316,10 @@ class Index:
             _raise_bad_coordinates(error, moved, "queries")
         return moved, matches
 
+    def follow(self, queries: "Index") -> "FollowedQueries":
+        """Return the points of another index as queries that move in small steps, such as those of ICP."""
+        return FollowedQueries(self, queries)
+
     def _as_hints(self, values: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
         if values is None:
             return None
@@ -267,6 +335,38 @@ class Index:
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
             raise InputError(f"{name}: expected indices from 0 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
         return np.ascontiguousarray(rows, np.int64)
+
+
+class FollowedQueries:
+    """Points of one index that move in small steps, and their nearest points in another, as `Index.nearest_of_moved`.
+
+    A search also returns how far all points but the nearest are from the query. As long as the query has moved less
+    than the nearest point is nearer, that point remains the nearest, and no search is needed.
+
+    Args:
+        index: the searched index.
+        queries: index of the query points, before any motion.
+    """
+
+    def __init__(self, index: Index, queries: Index) -> None:
+        self._index, self._queries = index, queries
+        self._places, self._clearances = np.empty((len(queries), 3)), np.zeros(len(queries))
+        self._indices: NDArray[np.int64] | None = None
+
+    def nearest(self, motion: NDArray[np.float64]) -> tuple[NDArray[np.float64], Matches]:
+        """Return the moved points (M, 3), after an affine motion (3, 4) or (4, 4), and their nearest points."""
+        index, queries = self._index, self._queries
+        if self._indices is None:  # a first step is long: it leaves no match as it was
+            moved, matches = index.nearest_of_moved(queries, motion)
+            self._indices = matches.indices.copy()
+            return moved, matches
+        moved, distances = np.empty((len(queries), 3)), np.empty(len(queries))
+        rows = np.ascontiguousarray(motion[:3], np.float64)
+        try:
+            index._tree.follow(queries._tree, rows, self._places, self._indices, self._clearances, moved, distances)
+        except ValueError as error:
+            _raise_bad_coordinates(error, moved, "queries")
+        return moved, Matches(distances, self._indices.copy())
 
 
 def is_kept(rows: NDArray[np.int64], share: float, seed: int) -> NDArray[np.bool_]:

@@ -66,11 +66,31 @@ def median(values: FloatArray) -> float:
     return _middle(values, None)
 
 
+def value_of_rank(values: FloatArray, rank: int) -> float:
+    """Value of a rank, 0 the smallest, among values (N,) without NaN: `numpy.sort(values)[rank]`."""
+    if len(values) <= _MAX_PARTITIONED:
+        return float(np.partition(values, rank)[rank])
+    return float(_order_statistics(values, None, np.array([rank]))[0])
+
+
 def median_distance(values: FloatArray, center: float = 0.0) -> float:
     """Median distance of values (N,), N >= 1, from a number: `numpy.median(numpy.abs(values - center))`."""
     if len(values) <= _MAX_PARTITIONED:
         return float(np.median(np.abs(values - center)))
     return _middle(values, center)
+
+
+def medians_of_rows(values: FloatArray, rows: IntArray) -> FloatArray:
+    """Median (M,) of the values (N,) at each row of indices (M, K), K >= 1: `numpy.median(values[rows], axis=1)`.
+
+    No value is NaN.
+
+    Raises:
+        IndexError: an index is negative, or not that of a value.
+    """
+    medians = np.empty(len(rows))
+    _core.medians_of_rows(np.ascontiguousarray(values), np.ascontiguousarray(rows), medians)
+    return medians
 
 
 def _middle(values: FloatArray, center: float | None) -> float:

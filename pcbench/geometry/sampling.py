@@ -240,8 +240,10 @@ def _median_first(distances: FloatArray, is_other: NDArray[np.bool_]) -> float:
 def _median_nearest(index: Index, nearest_other: Matches | None) -> float:
     """Return the median distance to the nearest point at another position, without points of more than seven copies."""
     if nearest_other is None:
-        places = index.every(max(1, len(index) // _SPACING_SAMPLE))
-        distances = index.query(places, k=2).distances[:, 1]
+        step = max(1, len(index) // _SPACING_SAMPLE)
+        places = index.every(step)
+        nearest = index.nearest_other() if step == 1 else index.query(places, k=2)
+        distances = nearest.distances.reshape(len(places), -1)[:, -1]
     else:
         places, distances = index.points, nearest_other.distances
     is_duplicate = distances == 0

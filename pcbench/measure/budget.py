@@ -23,6 +23,7 @@ from pcbench.deformation.polynomials import (
     DEGREE,
     EXPONENTS,
     PARAMETERS,
+    Planes,
     equal_normal_equations,
     gram_matrix,
     model_columns,
@@ -130,8 +131,8 @@ class D2Budget:
         return max(named) <= NEGLIGIBLE_SHARE**2 * scale and others <= (1 - MAX_NOISE_RATIO**-2) * scale
 
 
-Equations = Callable[[FloatArray, FloatArray, FloatArray], tuple[NDArray[Any], NDArray[Any]]]
-"""Accumulates moments and scores of positions (N, 3), normals (N, 3) and residuals (N,)."""
+Equations = Callable[[Planes, FloatArray, IntArray], tuple[NDArray[Any], NDArray[Any]]]
+"""Accumulates moments and scores of some of the distances (M,) to planes, given by their rows (N,)."""
 
 
 class FitFrame(NamedTuple):
@@ -204,16 +205,8 @@ def sum_queries(
         groups = labels[start : start + _CHUNK] + FIRST
         counts += np.bincount(groups, minlength=size)
         np.add.at(squares, groups, np.square(distances[start : start + _CHUNK]))  # added up in the order of queries
-    moments: NDArray[Any] | float = 0.0
-    scores: NDArray[Any] | float = 0.0
-    stable = np.flatnonzero(labels == STABLE)
-    for start in range(0, max(len(stable), 1), _CHUNK):
-        queries = stable[start : start + _CHUNK]
-        rows_of_block = queries if rows is None else rows[queries]
-        here = (places[rows_of_block] - frame.center) / frame.radius
-        of_chunk = equations(here, normals[rows_of_block], distances[queries] / frame.radius)
-        moments, scores = moments + of_chunk[0], scores + of_chunk[1]
-    return BudgetSums(counts, squares, np.asarray(moments), np.asarray(scores))
+    planes = Planes(places, normals, rows, frame.center, frame.radius)
+    return BudgetSums(counts, squares, *equations(planes, distances, np.flatnonzero(labels == STABLE)))
 
 
 def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: float | None = None) -> D2Budget:

@@ -266,21 +266,21 @@ def _plane_offsets(
     The estimate uses the neighbour of each point whose distance fits best, in a thinned sample if the reference is much
     denser than the candidate. The remaining ratio of distances is corrected by a model fitted to all points.
     """
-    index = reference.index
-    near = around = _normal_neighborhoods(reference, rows)
-    points = reference.points
+    around, points = _normal_neighborhoods(reference, rows), reference.points
     typical = float(np.median(distances))
     share = _THINNED_DENSITY_RATIO * (reference.spacing / typical) ** 2 if typical > 0 else 1.0
-    if 0 < (share := max(share, _MIN_THINNED_POINTS / len(index))) < 1:
-        index = index.thinned(share, seed)
-        near = index.query(points[rows], k=min(around.shape[1], len(index))).indices
-    separations = np.linalg.norm(index.points[near] - points[rows, None], axis=2)
+    share = max(share, _MIN_THINNED_POINTS / len(reference.index))
+    is_thinned = 0 < share < 1
+    near = points[around]
+    if is_thinned:
+        near = reference.index.neighbors_in_share(points[rows], around.shape[1], share, seed)
+    separations = np.linalg.norm(near - points[rows, None], axis=2)
     least = 1e-12 * float(separations.max()) or 1.0
     ratio = np.maximum(separations, least) / np.maximum(distances, least)[:, None]
     which = np.abs(np.log(ratio)).argmin(axis=1)
-    closest, separation = _take_per_row(near, which), _take_per_row(separations, which)
-    normals = _leave_one_out_normals(reference, rows, around, closest if index is reference.index else None)
-    neighbours, variance = index.points[closest], 0.0
+    neighbours, separation = near[np.arange(len(rows)), which], _take_per_row(separations, which)
+    normals = _leave_one_out_normals(reference, rows, around, None if is_thinned else _take_per_row(around, which))
+    variance = 0.0
     if rounding is not None:
         centers = points[around].mean(axis=1)
         neighbours = _stored_anew(neighbours, centers, normals, reference.rounding, rounding, seed)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.geometry.order_statistics import NORMAL_MAD, median, value_of_rank
 from pcbench.measure import intervals
 from pcbench.measure.intervals import CellNumbers, CorrelationCells, Interval, LinearizedScore
 from pcbench.measure.metrics import Distances
@@ -55,24 +55,32 @@ def signed_offset(distances: Distances, cell_of_query: CellNumbers, cells: Corre
         rows, signed, weights = planes.rows, planes.distances, planes.weights
     else:
         rows, signed, weights = np.arange(len(planes)), planes, np.ones(len(planes))
-    is_near = to_points[rows] <= _MAX_MEDIANS * float(np.median(to_points))
+    is_near = to_points[rows] <= _MAX_MEDIANS * median(to_points)
     rows, signed, weights = rows[is_near], signed[is_near], weights[is_near]
     if not weights.sum() > 0:
         return None
     weights = weights / weights.sum()
-    median = _median(signed, weights)
-    nmad = NORMAL_MAD * _median(np.abs(signed - median), weights)
+    middle_of = _weighted_median if isinstance(planes, PlaneSample) else _median_of_equal_weights
+    middle = middle_of(signed, weights)
+    nmad = NORMAL_MAD * middle_of(np.abs(signed - middle), weights)
     window = _DENSITY_REACH * nmad
-    within = float(weights[np.abs(signed - median) <= window].sum())
+    within = float(weights[np.abs(signed - middle) <= window].sum())
     if nmad == 0:
-        return SignedOffset(median, Interval(median, median), nmad)
+        return SignedOffset(middle, Interval(middle, middle), nmad)
     of_cell, number = cell_of_query[rows], cells.number
     shares = np.bincount(of_cell, weights, number).astype(np.float64)
-    below = np.bincount(of_cell, weights * (signed <= median), number).astype(np.float64)
+    below = np.bincount(of_cell, weights * (signed <= middle), number).astype(np.float64)
     influence = (float(below.sum()) * shares - below) * 2 * window / within
-    spread = intervals.spreads({"offset": LinearizedScore(median, influence)}, cells, shares)["offset"]
-    return SignedOffset(median, intervals.difference(median, spread), nmad)
+    spread = intervals.spreads({"offset": LinearizedScore(middle, influence)}, cells, shares)["offset"]
+    return SignedOffset(middle, intervals.difference(middle, spread), nmad)
 
 
-def _median(values: FloatArray, weights: FloatArray) -> float:
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     return float(np.percentile(values, 50, method="inverted_cdf", weights=weights))
+
+
+def _median_of_equal_weights(values: FloatArray, weights: FloatArray) -> float:
+    """Return the weighted median, whose rank does not depend on the values."""
+    shares = np.cumsum(weights)
+    rank = int(np.searchsorted(shares / shares[-1], 0.5))
+    return value_of_rank(values, rank)

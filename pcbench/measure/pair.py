@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes import Changes
+from pcbench.changes import Changes, ClosestPoints
 from pcbench.deformation import Deformation, Side, residual_deformation, separate_changes
 from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import IntArray
@@ -116,9 +116,13 @@ def measure_directions(
     )
 
 
-def find_changes(reference: Reference, aligned: AlignedCandidate) -> Changes:
+def find_changes(reference: Reference, aligned: AlignedCandidate, matched: Matched) -> Changes:
     """Find the changes between the complete clouds, in the reference's local coordinates."""
-    return separate_changes(*_sides(reference, aligned)).of_points(reference.points, aligned.index.points)
+    closest = None
+    if reference.region is None and reference.nearest_other is not None:
+        closest = ClosestPoints(matched.back, matched.forth, reference.nearest_other)
+    changes = separate_changes(*_sides(reference, aligned), closest)
+    return changes.of_points(reference.points, aligned.index.points)
 
 
 def _sides(reference: Reference, aligned: AlignedCandidate) -> tuple[Side, Side]:

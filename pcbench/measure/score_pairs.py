@@ -170,7 +170,7 @@ class MatchedPair(NamedTuple):
 
 def point_metrics(a: FloatArray, b: FloatArray, thresholds: Sequence[float]) -> dict[str, Any]:
     """Return the metrics of `CloudScore` for distances (N,) candidate to reference and (M,) in the other direction."""
-    means = BothWays(float(a.mean()), float(b.mean()))
+    means = BothWays(_mean(a), _mean(b))
     squares = _mean_squares(a, b)
     return {
         "mean_distance": means,
@@ -215,7 +215,12 @@ def plane_metrics(
 
 
 def _mean_squares(a: FloatArray, b: FloatArray) -> BothWays:
-    return BothWays(*(float(np.square(each).mean()) for each in (a, b)))
+    return BothWays(_mean(np.square(a)), _mean(np.square(b)))
+
+
+def _mean(values: FloatArray) -> float:
+    """Return the mean of values (N,), as `numpy.mean` in half of its time for a few thousand values."""
+    return float(np.add.reduce(values)) / len(values)
 
 
 def _near_origin(points: FloatArray, others: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -223,7 +228,15 @@ def _near_origin(points: FloatArray, others: FloatArray) -> tuple[FloatArray, Fl
     origin = np.floor(points[0]) if len(points) else np.zeros(3)
     if not origin.any() or not np.isfinite(origin).all():  # `Index` names a coordinate that is not finite
         return points, others
-    return points - origin, others - origin
+    return _minus(points, origin), _minus(others, origin)
+
+
+def _minus(points: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return points (N, 3) minus an origin (3,), axis by axis: numpy takes longer for rows of three numbers."""
+    shifted = np.empty(points.shape)
+    for axis in range(3):
+        np.subtract(points[:, axis], origin[axis], out=shifted[:, axis])
+    return shifted
 
 
 def _checked_metrics(metrics: Sequence[str] | str | None, thresholds: Sequence[float]) -> tuple[str, ...]:

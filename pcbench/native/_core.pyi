@@ -28,6 +28,11 @@ class PointIndex:
     def nearest_of_moved(self, queries: PointIndex, motion: Annotated[NDArray[numpy.float64], dict(shape=(3, 4), order='C', device='cpu', writable=False)], hints: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, moved: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """Nearest points to the points of another index after a motion (3, 4)."""
 
+    def follow(self, queries: PointIndex, motion: Annotated[NDArray[numpy.float64], dict(shape=(3, 4), order='C', device='cpu', writable=False)], places: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], clearances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], moved: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """
+        Nearest points to the points of another index after a motion (3, 4). Places (M, 3) and indices (M,) are those of the last search of each query, and clearances (M,) the distances of its second nearest point then, 0 before any; they are updated in place.
+        """
+
     def knearest(self, queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], distances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu')]) -> None: ...
 
     def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], reach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
@@ -37,6 +42,11 @@ class PointIndex:
 
     def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
         """Offsets (N + 1,) and the indices of points, ascending for each ball."""
+
+    def count_near(self, queries: PointIndex, limits: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], counts: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu')]) -> None:
+        """
+        Numbers of points (M, S) within distances (M, S) of the points of another index.
+        """
 
     def in_cylinders(self, origins: NDArray[numpy.float64], axes: NDArray[numpy.float64], radius: float, half_length: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
         """
@@ -73,10 +83,23 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     written in place. Returned is False, and nothing is written, if a value is NaN.
     """
 
-def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.int64], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+def medians_of_rows(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], medians: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Median (M,) of the values (N,) at each row of indices (M, K), written in place.
+    """
+
+def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
     """
     Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts
-    2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.
+    2^(32 k - 128), in two's complement. Returned is False if a value is not finite or not below 2^96 in
+    magnitude.
+    """
+
+def add_to_pixels(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], signed_distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], west: float, south: float, pixel: float, width: int, height: int, counts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')], largest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], signed_counts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], signed_limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+    """
+    Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in
+    place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.
+    Returned is False if a distance is not finite or not below 2^96.
     """
 
 def round_exactly(limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu', writable=False)], sums: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
@@ -98,8 +121,15 @@ def plane_system(moved: NDArray[numpy.float64], normals: NDArray[numpy.float64],
 
 def normal_equations(positions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], residuals: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.float64], dict(shape=(None, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.float64], dict(shape=(None, 20, 3), order='C', device='cpu')]) -> None:
     """
-    Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of
+    Add pairs to the sums of their groups, in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of
     w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).
+    """
+
+def equal_normal_equations(places: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], queries: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], center: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu', writable=False)], radius: float, group_size: int, steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.float64], dict(shape=(None, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.float64], dict(shape=(None, 20, 3), order='C', device='cpu')]) -> None:
+    """
+    Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has
+    the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and
+    distances in units of a radius.
     """
 
 class MeshIndex:

@@ -95,6 +95,29 @@ public:
         check(valid, kBadCoordinate);
     }
 
+    // As nearest_of_moved, with what earlier calls have found, which is updated.
+    void follow(const PointIndex& queries, In<double, nb::shape<3, 4>> motion, Out<double, nb::shape<-1, 3>> places,
+                Out<int64_t, nb::shape<-1>> indices, Out<double, nb::shape<-1>> clearances,
+                Out<double, nb::shape<-1, 3>> moved, Out<double, nb::shape<-1>> distances) const {
+        const pcbench::Tree& query_tree = queries.tree();
+        const size_t count = query_tree.count;
+        check(places.shape(0) == count && indices.shape(0) == count && clearances.shape(0) == count &&
+                  moved.shape(0) == count && distances.shape(0) == count,
+              "follow: expected one row per query");
+        for (size_t i = 0; i < count; ++i)
+            check(!(clearances.data()[i] > 0) || static_cast<uint64_t>(indices.data()[i]) < tree().count,
+                  "follow: expected matches that are indices of points");
+        bool valid = true;
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
+            const pcbench::Block<pcbench::Leaf> leaves = pcbench::allocate<pcbench::Leaf>(query_tree.leaf_count);
+            valid = transform_leaves(query_tree, motion.data(), leaves.get(), moved.data());
+            if (!valid) return;
+            pcbench::kernels().follow(tree(), leaves.get(), query_tree.leaf_count,
+                                      {places.data(), indices.data(), clearances.data()}, distances.data(), interrupt);
+        });
+        check(valid, kBadCoordinate);
+    }
+
     void knearest(Points queries, Out<double, nb::ndim<2>> distances, Out<int64_t, nb::ndim<2>> indices) const {
         const size_t count = queries.shape(0), k = distances.shape(1);
         check(distances.shape(0) == count && indices.shape(0) == count && indices.shape(1) == k,
@@ -114,6 +137,18 @@ public:
                                           pcbench::Interrupt& interrupt) {
             pcbench::kernels().in_balls(tree(), sorted.leaves.get(), sorted.leaf_count, radius, offsets, rows,
                                         interrupt);
+        });
+    }
+
+    void count_near(const PointIndex& queries, In<double, nb::ndim<2>> limits, Out<int64_t, nb::ndim<2>> counts) const {
+        const pcbench::Tree& query_tree = queries.tree();
+        const size_t limit_count = limits.shape(1);
+        check(limits.shape(0) == query_tree.count && counts.shape(0) == query_tree.count &&
+                  counts.shape(1) == limit_count && limit_count <= pcbench::kMostLimits,
+              "count_near: expected one row per query, of at most 8 distances");
+        pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
+            pcbench::kernels().count_near(tree(), query_tree.leaves, query_tree.leaf_count, limits.data(), limit_count,
+                                          counts.data(), interrupt);
         });
     }
 
@@ -248,6 +283,12 @@ NB_MODULE(_core, m) {
         .def("nearest_of_moved", &PointIndex::nearest_of_moved, nb::arg("queries"), nb::arg("motion").noconvert(),
              nb::arg("hints").noconvert().none(), nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), "Nearest points to the points of another index after a motion (3, 4).")
+        .def("follow", &PointIndex::follow, nb::arg("queries"), nb::arg("motion").noconvert(),
+             nb::arg("places").noconvert(), nb::arg("indices").noconvert(), nb::arg("clearances").noconvert(),
+             nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
+             "Nearest points to the points of another index after a motion (3, 4). Places (M, 3) and indices (M,) are"
+             " those of the last search of each query, and clearances (M,) the distances of its second nearest point"
+             " then, 0 before any; they are updated in place.")
         .def("knearest", &PointIndex::knearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
@@ -259,6 +300,9 @@ NB_MODULE(_core, m) {
              "Offsets (N + 1,) and the indices of points, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "
                      "tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"))
+        .def("count_near", &PointIndex::count_near, nb::arg("queries"), nb::arg("limits").noconvert(),
+             nb::arg("counts").noconvert(),
+             "Numbers of points (M, S) within distances (M, S) of the points of another index.")
         .def("in_cylinders", &PointIndex::in_cylinders, nb::arg("origins").noconvert(), nb::arg("axes").noconvert(),
              nb::arg("radius"), nb::arg("half_length"),
              "Offsets (N + 1,) and the indices of points, ascending for each cylinder.",

@@ -166,9 +166,10 @@ def _iterate(
     max_distance = schedule.first
     previous = np.inf
     hint: IntArray | None = None
+    followed = target.index.follow(sample)
     for iteration in range(1, settings.max_iterations + 1):
         annealing = max_distance > schedule.final
-        moved, nearest = target.index.nearest_of_moved(sample, T.matrix, hint)
+        moved, nearest = followed.nearest(T.matrix)
         hint = nearest.indices
         pairs = weigh(target, moved, nearest, max_distance, robust=not annealing, kept_share=schedule.start.kept_share)
         total = float(pairs.weights.sum())

@@ -218,6 +218,17 @@ def test_radius_search_equals_brute_force(shape, fraction):
     np.testing.assert_array_equal(neighborhoods.indices[slice(*neighborhoods.offsets[3:5])], np.nonzero(inside[3])[0])
 
 
+def test_counts_within_distances_equal_brute_force(shape):
+    rng = np.random.default_rng(9)
+    points = shape(rng, 400)
+    queries = near_and_far_queries(rng, points, 300)
+    distances = np.sqrt(squared_distances(queries, points))
+    limits = np.sort(distances, axis=1)[:, [0, 7, 40]]  # exactly at a point
+    limits[::5] *= rng.uniform(0, 2, limits[::5].shape)
+    expected = (distances[:, None] <= limits[:, :, None]).sum(axis=2)
+    np.testing.assert_array_equal(Index(points).count_near(Index(queries), limits), expected)
+
+
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])
 def test_cylinder_search_equals_brute_force(shape, radius, half_length):
     rng = np.random.default_rng(8)
@@ -326,6 +337,10 @@ def query_with_hint(hint):
         lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.ones((2, 1))),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.ones((3, 9))),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.full((3, 1), np.nan)),
+        lambda: Index(np.eye(3)).count_near(Index(np.eye(3)), np.full((3, 1), -1.0)),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1),
         lambda: Index(np.eye(3)).query_index_with_ties(Index(np.eye(3)), -1.0),
@@ -354,6 +369,32 @@ def test_nearest_of_moved_equals_a_query_with_moved_points(shape):
             np.testing.assert_array_equal(column, expected)
     with check_error():
         index.nearest_of_moved(source, np.hstack([rotation, np.full((3, 1), 1e200)]))
+
+
+def test_followed_queries_have_the_nearest_points_after_any_steps(shape):
+    rng = np.random.default_rng(33)
+    index, source = Index(shape(rng, 700)), Index(shape(rng, 333))
+    followed, motion = index.follow(source), np.eye(4)
+    for size in (0, 1e-1, 1e-2, 1e-3, 1e-4, 0, 1e-1, 1e-12):
+        motion[:3, 3] += size * rng.normal(size=3) * np.ptp(source.points, axis=0).max()
+        moved, matches = followed.nearest(motion)
+        expected, expected_matches = index.nearest_of_moved(source, motion)
+        np.testing.assert_array_equal(moved, expected)
+        assert_matches(matches, expected_matches)
+    alone = Index(np.zeros((1, 3))).follow(source)
+    for _ in range(3):
+        assert not alone.nearest(motion)[1].indices.any()
+    with check_error():
+        followed.nearest(np.full((3, 4), 1e200))
+
+
+@pytest.mark.parametrize(("k", "share"), [(1, 0.5), (21, 0.3), (21, 0.05), (21, 0.999), (600, 0.4)])
+def test_neighbors_in_a_share_are_those_of_a_thinned_index(shape, k, share):
+    points = shape(np.random.default_rng(34), 700)
+    thinned = Index(points).thinned(share, 3)
+    expected = thinned.query(points[:50], min(k, len(thinned))).indices.reshape(50, -1)
+    found = Index(points).neighbors_in_share(points[:50], k, share, 3)
+    np.testing.assert_array_equal(found, thinned.points[expected])
 
 
 def test_import_does_not_load_scipy():

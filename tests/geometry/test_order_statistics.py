@@ -72,3 +72,23 @@ def test_wrong_arguments_are_refused():
     for ranks in ([3, 1], [0, 5], [-1, 2], [0]):
         with pytest.raises(ValueError, match="order_statistics"):
             _core.order_statistics(values, None, np.array(ranks), found)
+
+
+@pytest.mark.parametrize("most", [0, 1000])
+def test_value_of_a_rank(monkeypatch, most):
+    monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", most)
+    values = np.random.default_rng(0).normal(size=500).round(1)
+    found = [order_statistics.value_of_rank(values, rank) for rank in range(500)]
+    assert found == np.sort(values).tolist()
+
+
+@pytest.mark.parametrize("k", [1, 2, 9, 24, 400])
+def test_medians_of_rows_are_those_of_numpy(k):
+    rng = np.random.default_rng(k)
+    values, rows = rng.normal(size=500).round(1), rng.integers(0, 500, (60, k))
+    np.testing.assert_array_equal(order_statistics.medians_of_rows(values, rows), np.median(values[rows], axis=1))
+    for index in (-1, 500):
+        with pytest.raises(IndexError, match="indices of values"):
+            order_statistics.medians_of_rows(values, np.full((1, k), index))
+    with pytest.raises(ValueError, match="at least one index"):
+        order_statistics.medians_of_rows(values, np.empty((1, 0), np.int64))

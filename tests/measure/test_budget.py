@@ -9,6 +9,7 @@ import shapes
 from pcbench import Cloud, Settings, compare
 from pcbench.changes import STABLE, UNMATCHED
 from pcbench.deformation import Deformation
+from pcbench.deformation.polynomials import Planes, equal_normal_equations, normal_equations
 from pcbench.measure.budget import (
     CONTRADICTED,
     PARTS,
@@ -240,3 +241,28 @@ def test_exact_parts_cannot_hide_a_dome():
     assert found.budget.accuracy.share("smooth") > 0.5
     assert not found.is_noise
     assert found.deformation.verdict in ("undecided", "non-affine")
+
+
+@pytest.mark.parametrize("rows", [None, slice(None, None, -1)])
+def test_equal_pairs_are_those_of_weight_one(rows):
+    points, normals = shapes.terrain(700, seed=1)
+    distances = np.random.default_rng(2).normal(0, 0.1, 700)
+    rows = None if rows is None else np.arange(700)[rows]
+    queries = np.flatnonzero(distances > -0.05)
+    planes = Planes(points, normals, rows, points.mean(axis=0), 30.0)
+    place = queries if rows is None else rows[queries]
+    here = (points[place] - planes.center) / planes.radius
+    expected = normal_equations(here, normals[place], np.ones(len(queries)), distances[queries] / planes.radius)
+    for found, each in zip(equal_normal_equations(planes, distances, queries), expected, strict=True):
+        np.testing.assert_array_equal(found, each[0])
+    for nothing in equal_normal_equations(planes, distances, queries[:0]):
+        assert not nothing.any()
+
+
+def test_equal_pairs_outside_their_arrays_are_refused():
+    planes = Planes(PLACES, np.tile(UP, (len(PLACES), 1)), None, np.zeros(3), 1.0)
+    for queries in ([-1], [len(PLACES)]):
+        with pytest.raises(IndexError, match="queries that have distances"):
+            equal_normal_equations(planes, np.zeros(len(PLACES)), np.array(queries))
+    with pytest.raises(ValueError, match="one place for each distance"):
+        equal_normal_equations(planes, np.zeros(2), np.zeros(1, np.int64))

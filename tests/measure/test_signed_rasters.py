@@ -5,6 +5,8 @@ import pytest
 
 from pcbench import Cloud, compare
 from pcbench.comparison import in_memory
+from pcbench.errors import InputError
+from pcbench.measure.tiled.overview import OverviewSums, PixelGrid, PixelSums
 
 LEVELS = (-0.2, 0.5)  # heights of the western and the eastern half of the candidate above the reference
 
@@ -64,3 +66,25 @@ def test_blocks_do_not_change_a_raster(monkeypatch):
         first, second = (getattr(candidate, name).overview for candidate in (whole, blocks))
         for field in ("signed", "mean", "largest", "count"):
             np.testing.assert_array_equal(getattr(first, field), getattr(second, field))
+
+
+def test_points_are_added_as_the_sums_of_parts_are():
+    rng, pixels = np.random.default_rng(0), PixelGrid(-1.0, 2.0, 0.5, 4, 3)
+    points = rng.uniform([-2, 1, 0], [2, 4, 1], (500, 3))  # some are outside
+    distances = rng.random(500) * 10.0 ** rng.integers(-30, 20, 500)
+    signed = np.where(rng.random(500) < 0.2, np.nan, rng.choice([-1, 1], 500) * distances)
+    direct, in_parts = OverviewSums(pixels), OverviewSums(pixels)
+    for rows in np.split(np.arange(500), [3, 200]):
+        direct.add_points(points[rows], distances[rows], signed[rows])
+        in_parts.add(PixelSums.of(pixels, points[rows], distances[rows], signed[rows]))
+    first, second = (raster.overview(np.zeros(3)) for raster in (direct, in_parts))
+    assert 0 < first.count.sum() < 500
+    for name in ("signed", "mean", "largest", "count"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
+def test_distances_that_cannot_be_added_are_refused(bad):
+    total = OverviewSums(PixelGrid(0.0, 0.0, 1.0, 1, 1))
+    with pytest.raises(InputError, match=r"^expected finite values below 8e28 to sum \(distance\), got"):
+        total.add_points(np.zeros((2, 3)), np.array([1.0, bad]), np.full(2, np.nan))

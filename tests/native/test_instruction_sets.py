@@ -133,7 +133,10 @@ for shape in SHAPES:
     results += [index.query(b[:500], 7), index.local_planes(8, np.arange(0, len(a), 211))[:2]]
     planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
     results += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
+    followed = index.follow(Index(b))
+    results += [followed.nearest(np.eye(4) * scale)[1] for scale in (1.01, 1.001, 1.0)]
     results += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]
+    results += [index.count_near(Index(b), 0.01 * extent * rng.random((len(b), 3)))]
     results += [index.query_index_with_ties(Index(b), slack)[1:] for slack in ((0.01 * extent) ** 2, 1e-8)]
     unit = rng.uniform(-1, 1, (1_003, 3))
     results += [normal_equations(unit, unit[::-1], unit[:, 0], unit[:, 1], np.array([0, 17, 17, 400]))]

@@ -195,6 +195,15 @@ class TiledIndex(Index):
         cloud = self._other_tiles(name, key, thin_tile, share, seed)
         return TiledIndex(cloud, cloud.folder / "cloud.tiles", None, self._runner, name, key)
 
+    def nearest_other(self) -> Matches:
+        """Find the nearest other point of each point of the complete cloud, in the order of rows."""
+        distances, numbers = self.query(self.every(1), 2)
+        return Matches(distances[:, 1], numbers[:, 1])
+
+    def neighbors_in_share(self, queries: FloatArray, k: int, share: float, seed: int) -> FloatArray:
+        """Find neighbours as `Index.neighbors_in_share` does, in an index of the share."""
+        return self._neighbors_in_thinned(queries, k, share, seed)
+
     def displaced(self, displacement: Displacement, picker: Picker) -> TiledIndex:
         """Return an index of the cloud after a displacement was removed; the picker picks its points."""
         name, key = f"{self._stage}-displaced", f"{self._key}{fingerprint(displacement)}"

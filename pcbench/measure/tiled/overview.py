@@ -10,7 +10,8 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.io.map_tiles import MapOverview
-from pcbench.measure.tiled.sums import Groups, GroupSums
+from pcbench.measure.tiled.sums import Groups, GroupSums, unsummable
+from pcbench.native import _core
 
 _PIXELS_ALONG = 1_000  # at most, along the longer side of the overview
 _SPACINGS_PER_PIXEL = 2.5  # at least: most pixels of a surface then hold points
@@ -110,6 +111,35 @@ class OverviewSums:
         self._signed.add(part.signed)
         keys = part.sums.keys
         self._largest[keys] = np.maximum(self._largest[keys], part.largest)
+
+    def add_points(self, points: FloatArray, distances: FloatArray, signed: FloatArray) -> None:
+        """Add the sums of points (N, 3), as `PixelSums.of` computes them.
+
+        Args:
+            points: (N, 3) points.
+            distances: (N,) their distances.
+            signed: (N,) their signed distances, NaN where they are unknown.
+
+        Raises:
+            InputError: a distance is not finite, or not below 2^96 (8e28).
+        """
+        grid, sums, signed_sums = self._grid, self._sums, self._signed
+        if not _core.add_to_pixels(
+            np.ascontiguousarray(points),
+            distances,
+            signed,
+            grid.west,
+            grid.south,
+            grid.pixel,
+            grid.width,
+            grid.height,
+            sums.counts,
+            sums.limbs["distance"],
+            self._largest,
+            signed_sums.counts,
+            signed_sums.limbs["signed"],
+        ):
+            raise unsummable("distance", distances)
 
     def overview(self, origin: FloatArray) -> MapOverview:
         """Return the raster, in coordinates to which `origin` (3,) was added."""

@@ -148,23 +148,20 @@ class GroupSums:
         return float(self.exact_total(name) / self.count) if self.count else float("nan")
 
 
+def unsummable(name: str, values: FloatArray) -> InputError:
+    """Return the error that some of the values (N,) of a quantity are not finite, or too large."""
+    worst = values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))]
+    return InputError(
+        f"expected finite values below 8e28 to sum ({name}), got {worst:g}: remove points that stand for missing"
+        " data, or lie far away by mistake (pcbench convert FILE OUT --drop-nodata)"
+    )
+
+
 def _sum_exactly(name: str, values: FloatArray, groups: IntArray, number: int) -> NDArray[np.uint32]:
-    limbs = np.zeros((number, _LIMBS), np.int64)
+    limbs = np.zeros((number, _LIMBS), np.uint32)
     if not _core.add_exactly(np.ascontiguousarray(values, np.float64), groups, limbs):
-        worst = values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))]
-        raise InputError(
-            f"expected finite values below 8e28 to sum ({name}), got {worst:g}: remove points that stand for missing"
-            " data, or lie far away by mistake (pcbench convert FILE OUT --drop-nodata)"
-        )
-    return _carry(limbs)
-
-
-def _carry(limbs: IntArray) -> NDArray[np.uint32]:
-    """Return sums (K, 8) with digits of 32 bits, from limbs of any size, which are changed."""
-    for k in range(_LIMBS - 1):
-        limbs[:, k + 1] += limbs[:, k] >> 32
-    _check_top(limbs[:, -1])
-    return limbs.astype(np.uint32)
+        raise unsummable(name, values)
+    return limbs
 
 
 def _check_top(limbs: IntArray) -> None:

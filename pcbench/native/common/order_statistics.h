@@ -79,4 +79,11 @@ bool order_statistics(size_t count, Value value, const size_t* ranks, size_t ran
     return true;
 }
 
+// Median of values, at least one, which are reordered: the mean of the two middle ones if their number is even.
+inline double median(double* first, double* last) {
+    double* const upper = first + (last - first) / 2;
+    std::nth_element(first, upper, last);
+    return (last - first) % 2 ? *upper : 0.5 * (*std::max_element(first, upper) + *upper);
+}
+
 }  // namespace pcbench

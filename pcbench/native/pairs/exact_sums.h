@@ -7,43 +7,55 @@
 
 namespace pcbench {
 
-// A sum is the total of limb[k] * 2^(32 k - 128). Values have magnitudes below 2^96.
+// A sum is the total of limbs[k] * 2^(32 k - 128). The limbs are its digits in two's complement. Values have magnitudes
+// below 2^96.
 constexpr int kLimbs = 8;
 constexpr int kFractionBits = 128;
 constexpr int kMaxExponent = 95;
-constexpr size_t kMaxAdditions = size_t{1} << 30;  // each one changes a limb by less than 2^33
+constexpr size_t kMaxAdditions = size_t{1} << 30;  // their sum stays below 2^126
 
-// Adds each value to the sum of its group: limbs[kLimbs * group + k]. Bits below 2^-128 are dropped. Returns false if a
-// value is too large or not finite; the limbs are then undefined.
-inline bool add_exactly(size_t count, const double* values, const int64_t* groups, int64_t* limbs) {
+// Adds a value to a sum. Bits below 2^-128 are dropped. Returns false if the value is too large or not finite; the sum
+// is then unchanged.
+inline bool add_exactly(double value, uint32_t* limbs) {
     constexpr uint64_t kLow = 0xffffffffu;
-    bool accepted = true;
-    for (size_t i = 0; i < count; ++i) {
-        uint64_t bits;
-        std::memcpy(&bits, values + i, sizeof bits);
-        const int exponent = static_cast<int>(bits >> 52 & 0x7ff);  // a subnormal value is far below 2^-128
-        if (exponent > 1023 + kMaxExponent) {
-            accepted = false;
-            continue;
-        }
-        uint64_t mantissa = (bits & ((uint64_t{1} << 52) - 1)) | uint64_t{1} << 52;
-        int lowest_bit = exponent - 1075 + kFractionBits;  // place of the mantissa's last bit in the sum
-        if (lowest_bit < 0) {
-            mantissa = lowest_bit > -53 ? mantissa >> -lowest_bit : 0;
-            lowest_bit = 0;
-        }
-        const int shift = lowest_bit & 31;
-        const uint64_t low = (mantissa & kLow) << shift, high = (mantissa >> 32) << shift;
-        const int64_t sign = -static_cast<int64_t>(bits >> 63);  // x ^ -1 minus -1 is -x
-        int64_t* const limb = limbs + kLimbs * groups[i] + (lowest_bit >> 5);
-        limb[0] += (static_cast<int64_t>(low & kLow) ^ sign) - sign;
-        limb[1] += (static_cast<int64_t>((low >> 32) + (high & kLow)) ^ sign) - sign;
-        limb[2] += (static_cast<int64_t>(high >> 32) ^ sign) - sign;
+    uint64_t bits;
+    std::memcpy(&bits, &value, sizeof bits);
+    const int exponent = static_cast<int>(bits >> 52 & 0x7ff);  // a subnormal value is far below 2^-128
+    if (exponent > 1023 + kMaxExponent) return false;
+    uint64_t mantissa = (bits & ((uint64_t{1} << 52) - 1)) | uint64_t{1} << 52;
+    int lowest_bit = exponent - 1075 + kFractionBits;  // place of the mantissa's last bit in the sum
+    if (lowest_bit < 0) {
+        mantissa = lowest_bit > -53 ? mantissa >> -lowest_bit : 0;
+        lowest_bit = 0;
     }
+    const int shift = lowest_bit & 31;
+    const uint64_t low = (mantissa & kLow) << shift, high = (mantissa >> 32) << shift;
+    const uint64_t parts[3] = {low & kLow, (low >> 32) + (high & kLow), high >> 32};
+    const int64_t sign = -static_cast<int64_t>(bits >> 63);  // x ^ -1 minus -1 is -x
+    int limb = lowest_bit >> 5;
+    int64_t carry = 0;
+    for (const uint64_t part : parts) {
+        carry += static_cast<int64_t>(limbs[limb]) + (static_cast<int64_t>(part) ^ sign) - sign;
+        limbs[limb++] = static_cast<uint32_t>(carry);
+        carry >>= 32;
+    }
+    for (; carry != 0 && limb < kLimbs; ++limb) {
+        carry += limbs[limb];
+        limbs[limb] = static_cast<uint32_t>(carry);
+        carry >>= 32;
+    }
+    return true;
+}
+
+// Adds each value to the sum of its group, limbs[kLimbs * group]. Returns false if one of them is too large or not
+// finite.
+inline bool add_exactly(size_t count, const double* values, const int64_t* groups, uint32_t* limbs) {
+    bool accepted = true;
+    for (size_t i = 0; i < count; ++i) accepted &= add_exactly(values[i], limbs + kLimbs * groups[i]);
     return accepted;
 }
 
-// The double nearest to a sum, with ties to even. The limbs are the digits of the sum in two's complement.
+// The double nearest to a sum, with ties to even.
 inline double round_exactly(const uint32_t* limbs) {
     const bool is_negative = limbs[kLimbs - 1] >> 31;
     uint32_t magnitude[kLimbs];

@@ -14,6 +14,7 @@
 #include "pairs/exact_sums.h"
 #include "pairs/monomials.h"
 #include "pairs/pairs.h"
+#include "pairs/pixel_sums.h"
 #include "points/bounds.h"
 #include "points/cells.h"
 #include "points/kernels.h"
@@ -22,6 +23,8 @@
 namespace {
 
 using OptionalIndices = std::optional<Indices>;
+using Limbs = Out<uint32_t, nb::shape<-1, pcbench::kLimbs>>;
+using Counts = Out<int64_t, nb::shape<-1>>;
 
 // Returns `count` rows of an array: those listed in `indices`, or else all in order.
 pcbench::Rows rows_of(Points array, const OptionalIndices& indices, size_t count) {
@@ -105,7 +108,21 @@ bool order_statistics(Column values, std::optional<double> center, Indices ranks
         count, [=](size_t i) { return std::fabs(data[i] - c); }, selected.data(), rank_count, found.data());
 }
 
-bool add_exactly(Column values, Indices groups, Out<int64_t, nb::shape<-1, pcbench::kLimbs>> limbs) {
+void medians_of_rows(Column values, In<int64_t, nb::ndim<2>> rows, Out<double, nb::shape<-1>> medians) {
+    const size_t count = rows.shape(0), k = rows.shape(1);
+    check(k > 0 && medians.shape(0) == count, "medians_of_rows: expected one result for each row of at least one index");
+    bool in_range = true;
+    for (size_t i = 0; i < count * k; ++i) in_range &= static_cast<uint64_t>(rows.data()[i]) < values.shape(0);
+    if (!in_range) throw nb::index_error("medians_of_rows: expected indices of values");
+    std::vector<double> selected(k);
+    nb::gil_scoped_release release;
+    for (size_t i = 0; i < count; ++i) {
+        for (size_t j = 0; j < k; ++j) selected[j] = values.data()[rows.data()[i * k + j]];
+        medians.data()[i] = pcbench::median(selected.data(), selected.data() + k);
+    }
+}
+
+bool add_exactly(Column values, Indices groups, Limbs limbs) {
     const size_t count = values.shape(0);
     check(groups.shape(0) == count && count <= pcbench::kMaxAdditions,
           "add_exactly: expected one group for each of at most 2^30 values");
@@ -120,6 +137,24 @@ void round_exactly(In<uint32_t, nb::shape<-1, pcbench::kLimbs>> limbs, Out<doubl
     check(sums.shape(0) == limbs.shape(0), "round_exactly: expected one result per sum");
     for (size_t i = 0; i < sums.shape(0); ++i)
         sums.data()[i] = pcbench::round_exactly(limbs.data() + pcbench::kLimbs * i);
+}
+
+bool add_to_pixels(Points points, Column distances, Column signed_distances, double west, double south, double pixel,
+                   int64_t width, int64_t height, Counts counts, Limbs limbs, Out<double, nb::shape<-1>> largest,
+                   Counts signed_counts, Limbs signed_limbs) {
+    const size_t count = points.shape(0);
+    check(distances.shape(0) == count && signed_distances.shape(0) == count && count <= pcbench::kMaxAdditions,
+          "add_to_pixels: expected one distance and one signed distance for each of at most 2^30 points");
+    check(width > 0 && height > 0, "add_to_pixels: expected a positive width and height");
+    const size_t pixels = static_cast<size_t>(width) * static_cast<size_t>(height);
+    check(counts.shape(0) == pixels && limbs.shape(0) == pixels && largest.shape(0) == pixels &&
+              signed_counts.shape(0) == pixels && signed_limbs.shape(0) == pixels,
+          "add_to_pixels: expected one sum for each pixel");
+    const nb::gil_scoped_release release;
+    return pcbench::add_to_pixels({west, south, pixel, width, height}, count, points.data(), distances.data(),
+                                  signed_distances.data(),
+                                  {counts.data(), signed_counts.data(), limbs.data(), signed_limbs.data(),
+                                   largest.data()});
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
@@ -157,21 +192,28 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
     return system.radius;
 }
 
-void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts,
-                      In<int64_t, nb::shape<pcbench::kProducts - 1, 2>> steps,
-                      Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
-                      Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
+using Steps = In<int64_t, nb::shape<pcbench::kProducts - 1, 2>>;
+using Moments = Out<double, nb::shape<-1, pcbench::kProducts, 6>>;
+using Scores = Out<double, nb::shape<-1, pcbench::kMonomials, 3>>;
+
+std::array<pcbench::MonomialStep, pcbench::kProducts - 1> checked_steps(Steps steps) {
+    std::array<pcbench::MonomialStep, pcbench::kProducts - 1> checked;
+    for (size_t a = 0; a < checked.size(); ++a) {
+        checked[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
+        check(0 <= checked[a].earlier && checked[a].earlier <= static_cast<int64_t>(a) && 0 <= checked[a].axis &&
+                  checked[a].axis < 3,
+              "normal_equations: expected each monomial as an earlier one times a coordinate");
+    }
+    return checked;
+}
+
+void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts, Steps steps,
+                      Moments moments, Scores scores) {
     const size_t count = positions.shape(0), groups = starts.shape(0);
     check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
           "normal_equations: expected one row of every argument for each pair");
     check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: expected one result per group");
-    std::array<pcbench::MonomialStep, pcbench::kProducts - 1> step;
-    for (size_t a = 0; a < step.size(); ++a) {
-        step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
-        check(
-            0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
-            "normal_equations: expected each monomial as an earlier one times a coordinate");
-    }
+    const auto step = checked_steps(steps);
     std::vector<size_t> bounds(starts.data(), starts.data() + groups);
     bounds.push_back(count);
     check(std::is_sorted(bounds.begin(), bounds.end()), "normal_equations: expected ascending starts of groups");
@@ -181,6 +223,43 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
         pcbench::kernels().normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
                                             residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
                                             scores.data() + g * pcbench::kMonomials * 3);
+}
+
+void equal_normal_equations(Points places, Points normals, OptionalIndices rows, Column distances, Indices queries,
+                            In<double, nb::shape<3>> center, double radius, size_t group_size, Steps steps,
+                            Moments moments, Scores scores) {
+    const size_t count = queries.shape(0), groups = moments.shape(0);
+    check(normals.shape(0) == places.shape(0) && (rows ? rows->shape(0) : places.shape(0)) == distances.shape(0),
+          "equal_normal_equations: expected one normal for each place, and one place for each distance");
+    check(group_size > 0 && count <= groups * group_size && scores.shape(0) == groups,
+          "equal_normal_equations: expected one result for each group of queries");
+    bool in_range = true;
+    for (size_t i = 0; i < count; ++i) in_range &= static_cast<uint64_t>(queries.data()[i]) < distances.shape(0);
+    if (!in_range) throw nb::index_error("equal_normal_equations: expected queries that have distances");
+    const pcbench::Rows p = rows_of(places, rows, distances.shape(0)), n = rows_of(normals, rows, distances.shape(0));
+    const auto step = checked_steps(steps);
+    const pcbench::Vec3 origin = pcbench::vec3(center.data());
+    nb::gil_scoped_release release;
+#pragma omp parallel for schedule(dynamic) if (groups > 1)
+    for (size_t g = 0; g < groups; ++g) {
+        constexpr size_t kBlock = 256;
+        double positions[3 * kBlock], directions[3 * kBlock], residuals[kBlock], weights[kBlock];
+        std::fill_n(weights, kBlock, 1.0);
+        const size_t end = std::min(count, (g + 1) * group_size);
+        for (size_t start = g * group_size; start < end; start += kBlock) {
+            const size_t size = std::min(kBlock, end - start);
+            for (size_t i = 0; i < size; ++i) {
+                const size_t query = static_cast<size_t>(queries.data()[start + i]);
+                const pcbench::Vec3 place = p[query] - origin;
+                pcbench::write({place.x / radius, place.y / radius, place.z / radius}, positions + 3 * i);
+                pcbench::write(n[query], directions + 3 * i);
+                residuals[i] = distances.data()[query] / radius;
+            }
+            pcbench::kernels().normal_equations(0, size, positions, directions, weights, residuals, step.data(),
+                                                moments.data() + g * pcbench::kProducts * 6,
+                                                scores.data() + g * pcbench::kMonomials * 3);
+        }
+    }
 }
 
 }  // namespace
@@ -211,10 +290,20 @@ void bind_loops(nb::module_& m) {
         nb::arg("ranks").noconvert(), nb::arg("found").noconvert(),
         "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
         "written in place. Returned is False, and nothing is written, if a value is NaN.");
+    m.def("medians_of_rows", &medians_of_rows, nb::arg("values").noconvert(), nb::arg("rows").noconvert(),
+          nb::arg("medians").noconvert(), "Median (M,) of the values (N,) at each row of indices (M, K), written in place.");
     m.def("add_exactly", &add_exactly, nb::arg("values").noconvert(), nb::arg("groups").noconvert(),
           nb::arg("limbs").noconvert(),
           "Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts\n"
-          "2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.");
+          "2^(32 k - 128), in two's complement. Returned is False if a value is not finite or not below 2^96 in\n"
+          "magnitude.");
+    m.def("add_to_pixels", &add_to_pixels, nb::arg("points").noconvert(), nb::arg("distances").noconvert(),
+          nb::arg("signed_distances").noconvert(), nb::arg("west"), nb::arg("south"), nb::arg("pixel"),
+          nb::arg("width"), nb::arg("height"), nb::arg("counts").noconvert(), nb::arg("limbs").noconvert(),
+          nb::arg("largest").noconvert(), nb::arg("signed_counts").noconvert(), nb::arg("signed_limbs").noconvert(),
+          "Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in\n"
+          "place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.\n"
+          "Returned is False if a distance is not finite or not below 2^96.");
     m.def("round_exactly", &round_exactly, nb::arg("limbs").noconvert(), nb::arg("sums").noconvert(),
           "Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's\n"
           "complement.");
@@ -242,6 +331,13 @@ void bind_loops(nb::module_& m) {
         "normal_equations", &normal_equations, nb::arg("positions").noconvert(), nb::arg("normals").noconvert(),
         nb::arg("weights").noconvert(), nb::arg("residuals").noconvert(), nb::arg("starts").noconvert(),
         nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
-        "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
+        "Add pairs to the sums of their groups, in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
         "w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).");
+    m.def("equal_normal_equations", &equal_normal_equations, nb::arg("places").noconvert(),
+          nb::arg("normals").noconvert(), nb::arg("rows").noconvert().none(), nb::arg("distances").noconvert(),
+          nb::arg("queries").noconvert(), nb::arg("center").noconvert(), nb::arg("radius"), nb::arg("group_size"),
+          nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+          "Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has\n"
+          "the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and\n"
+          "distances in units of a radius.");
 }

@@ -6,8 +6,8 @@
 
 namespace pcbench::PCB_ISA {
 
-// For the pairs in [begin, end): moments (84, 6), sums of w phi n n', and scores (20, 3), sums of w phi n r. Each sum
-// adds the pairs in their order.
+// Adds the pairs in [begin, end), in their order, to moments (84, 6), sums of w phi n n', and scores (20, 3), sums of
+// w phi n r.
 inline void normal_equations(size_t begin, size_t end, const double* positions, const double* normals,
                              const double* weights, const double* residuals, const MonomialStep* steps, double* moments,
                              double* scores) {
@@ -16,8 +16,14 @@ inline void normal_equations(size_t begin, size_t end, const double* positions, 
     // monomial. Monomials of several pairs are computed at once, with pairs as lanes.
     static_assert(kLanes == 8, "the lanes are six moments and two scores");
     Vector sums[kProducts];
-    double third[kMonomials] = {};  // the third score
-    for (Vector& sum : sums) sum = splat(0.0);
+    double third[kMonomials];  // the third score
+    for (size_t a = 0; a < kProducts; ++a) {
+        double lanes[kLanes] = {};
+        for (size_t k = 0; k < 6; ++k) lanes[k] = moments[6 * a + k];
+        for (size_t k = 0; k < 2 && a < kMonomials; ++k) lanes[6 + k] = scores[3 * a + k];
+        sums[a] = load(lanes);
+    }
+    for (size_t a = 0; a < kMonomials; ++a) third[a] = scores[3 * a + 2];
     for (size_t start = begin; start < end; start += kLanes) {
         const size_t count = min_size(kLanes, end - start);
         double values[kProducts][kLanes], coordinates[3][kLanes] = {}, third_factors[kLanes];

@@ -12,12 +12,23 @@ struct Ties {
     bool* flags = nullptr;  // null if not requested
 };
 
+// What earlier searches of moving queries have found. While the distance of the match, plus the distance that the query
+// has moved, is less than the clearance, no other point can be nearer.
+struct Track {
+    double* places;      // (count, 3) position of each query at its last search
+    int64_t* indices;    // its match
+    double* clearances;  // the distance of the second nearest point; 0: not searched yet
+};
+
+constexpr size_t kMostLimits = 8;
+
 struct Kernels {
     const char* name;
     bool (*sort_into_leaves)(const double* points, size_t count, double limit, Leaf* leaves, Node* nodes, Interrupt&);
     void (*build_upper_levels)(Tree&);
     void (*nearest)(const Tree&, const Leaf* queries, size_t leaf_count, const int64_t* hints, bool own_leaves,
                     double* distances, int64_t* indices, Ties, Interrupt&);
+    void (*follow)(const Tree&, const Leaf* queries, size_t leaf_count, const Track&, double* distances, Interrupt&);
     // Each thread has its own scratch memory of knearest_scratch_bytes(k).
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
                      double* const* scratch, Interrupt&);
@@ -28,6 +39,10 @@ struct Kernels {
                      int64_t* rows, Interrupt&);
     void (*in_cylinders)(const Tree&, const Leaf* origins, size_t leaf_count, const double* axes, double radius,
                          double half_length, int64_t* offsets, int64_t* rows, Interrupt&);
+    // `limits` and `counts` have `limit_count` <= kMostLimits columns: distances from each query, and the numbers of
+    // points within them.
+    void (*count_near)(const Tree&, const Leaf* queries, size_t leaf_count, const double* limits, size_t limit_count,
+                       int64_t* counts, Interrupt&);
     // Queries are points of the tree; `rows` holds their indices, null for all in order. Each thread has its own
     // scratch memory of plane_scratch_bytes(k). `distances` and `indices` are those of the nearest other point, and
     // `reach` is the distance of the k-th nearest point, the query included.

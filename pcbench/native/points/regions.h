@@ -1,7 +1,8 @@
-// All points inside balls or cylinders.
+// All points inside balls or cylinders, and their numbers in concentric balls.
 // Included once per instruction set, see kernels_isa.h.
 #pragma once
 #include "common/interrupt.h"
+#include "points/kernels.h"
 #include "points/walk.h"
 
 namespace pcbench::PCB_ISA {
@@ -108,6 +109,56 @@ inline void in_balls(const Tree& tree, const Leaf* centres, size_t leaf_count, d
                      int64_t* rows, Interrupt& interrupt) {
     const auto ball = [=](double x, double y, double z, size_t) { return Ball{{x, y, z}, radius * radius}; };
     find_in_regions(tree, centres, leaf_count, ball, offsets, rows, interrupt);
+}
+
+// Counts the points within several distances of one query.
+class DistanceCounts {
+public:
+    DistanceCounts(const Tree& tree, const double* query, const double* limits, size_t limit_count)
+        : tree_(tree), query_(query), box_(box_of_point(query)), limits_(limits), limit_count_(limit_count) {
+        double largest = 0.0;
+        for (size_t s = 0; s < limit_count; ++s) largest = limits[s] > largest ? limits[s] : largest;
+        bound_ = largest * largest * (1 + 1e-15) + 1e-307;  // above the square of any distance that rounds to the limit
+    }
+
+    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, box_); }
+    double bound() const { return bound_; }
+    uint32_t last_tie() const { return UINT32_MAX; }
+
+    void leaf(uint32_t id, const Node&, int) {
+        const Leaf& leaf = tree_.leaves[id];
+        const Vector distance = sqrt(squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
+                                                    splat(query_[2]) - load(leaf.z)));
+        for (size_t s = 0; s < limit_count_; ++s)
+            counts_[s] += __builtin_popcount(bits(distance <= splat(limits_[s])));
+    }
+
+    int64_t count(size_t s) const { return counts_[s]; }
+
+private:
+    const Tree& tree_;
+    const double* query_;
+    const Box box_;
+    const double* limits_;
+    const size_t limit_count_;
+    double bound_;
+    int64_t counts_[kMostLimits] = {};
+};
+
+// `limits` (M, limit_count) are distances from each query, `counts` (M, limit_count) the numbers of points within them.
+inline void count_near(const Tree& tree, const Leaf* queries, size_t leaf_count, const double* limits,
+                       size_t limit_count, int64_t* counts, Interrupt& interrupt) {
+#pragma omp parallel for schedule(dynamic, 64) if (leaf_count > 256)
+    for (size_t q = 0; q < leaf_count; ++q) {
+        if (interrupt.requested()) continue;
+        for (size_t l = 0; l < kFanout && queries[q].row[l] != kNoRow; ++l) {
+            const double query[3] = {queries[q].x[l], queries[q].y[l], queries[q].z[l]};
+            const size_t first = static_cast<size_t>(queries[q].row[l]) * limit_count;
+            DistanceCounts search(tree, query, limits + first, limit_count);
+            traverse(tree, search);
+            for (size_t s = 0; s < limit_count; ++s) counts[first + s] = search.count(s);
+        }
+    }
 }
 
 inline void in_cylinders(const Tree& tree, const Leaf* origins, size_t leaf_count, const double* axes, double radius,

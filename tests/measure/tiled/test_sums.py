@@ -145,7 +145,7 @@ def test_means_divide_sums_by_counts():
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():
-    limbs = np.zeros((2, 8), np.int64)
+    limbs = np.zeros((2, 8), np.uint32)
     with pytest.raises(IndexError, match="groups that have limbs"):
         _core.add_exactly(np.ones(1), np.array([2]), limbs)
     with pytest.raises(IndexError, match="groups that have limbs"):

@@ -42,20 +42,12 @@ void golden::pairs() {
     pcbench::kernels().normal_equations(0, kCount, moved.data(), normals.data(), weights.data(), residuals.data(),
                                         steps.data(), moments.data(), scores.data());
     Hash("normal_equations").add(moments).add(scores);
-    std::vector<int64_t> groups, limbs(3 * pcbench::kLimbs);
+    std::vector<int64_t> groups;
+    std::vector<uint32_t> limbs(3 * pcbench::kLimbs);
     for (size_t i = 0; i < kCount; ++i) groups.push_back(static_cast<int64_t>(i % 3));
     pcbench::add_exactly(kCount, residuals.data(), groups.data(), limbs.data());
     Hash("add_exactly").add(limbs);
-    std::vector<uint32_t> digits(limbs.size());
     sums.clear();
-    for (size_t g = 0; g < 3; ++g) {
-        int64_t carry = 0;
-        for (size_t k = pcbench::kLimbs * g; k < pcbench::kLimbs * (g + 1); ++k) {
-            carry += limbs[k];
-            digits[k] = static_cast<uint32_t>(carry);
-            carry >>= 32;
-        }
-        sums.push_back(pcbench::round_exactly(digits.data() + pcbench::kLimbs * g));
-    }
+    for (size_t g = 0; g < 3; ++g) sums.push_back(pcbench::round_exactly(limbs.data() + pcbench::kLimbs * g));
     Hash("round_exactly").add(sums);
 }

@@ -41,6 +41,13 @@ void golden::points() {
                     interrupt);
     Hash("nearest").add(distances).add(rows);
 
+    std::vector<double> places(3 * kQueries), clearances(kQueries);
+    for (int step = 0; step < 2; ++step) {  // the second one does not search
+        kernels.follow(tree, sorted.leaves.get(), sorted.leaf_count,
+                       {places.data(), rows.data(), clearances.data()}, distances.data(), interrupt);
+        Hash(step == 0 ? "follow_first" : "follow_again").add(distances).add(rows).add(places).add(clearances);
+    }
+
     std::vector<double> all_distances(kQueries * kNeighbors);
     std::vector<int64_t> neighbors(kQueries * kNeighbors);
     const auto search_neighbors = [&](size_t k, double* to_neighbors, int64_t* indices) {
@@ -79,6 +86,12 @@ void golden::points() {
         kernels.in_cylinders(tree, sorted.leaves.get(), sorted.leaf_count, axes.data(), 1.25, 0.5, offsets, indices,
                              interrupt);
     });
+
+    std::vector<double> limits;
+    for (size_t i = 0; i < kQueries; ++i) limits.insert(limits.end(), {0.25, 1.25});
+    std::vector<int64_t> within(2 * kQueries);
+    kernels.count_near(tree, sorted.leaves.get(), sorted.leaf_count, limits.data(), 2, within.data(), interrupt);
+    Hash("count_near").add(within);
 
     const pcbench::ThreadScratch scratch(kernels.plane_scratch_bytes(16));
     std::vector<double> reach(kCount);
