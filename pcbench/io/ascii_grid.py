@@ -11,12 +11,12 @@ from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Look, Warn
 from pcbench.io.height_grids import ElevationGrid
+from pcbench.io.nodata import is_stated_nodata
 
 _REQUIRED = ("ncols", "nrows")
-_KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value")
+_NO_DATA_KEY = "nodata_value"
+_KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", _NO_DATA_KEY)
 _NO_DATA = -9999.0  # the default of the format
-
-
 _LOOK_BYTES = 4096
 
 
@@ -40,7 +40,7 @@ def read_ascii_grid_mesh(path: Path, warn: Warn) -> Mesh:
     lines = _lines(path.read_bytes())
     if not is_ascii_grid(lines):
         raise InputError("expected a mesh, got a table of points: it is a cloud")
-    return parse_ascii_grid(lines).mesh(warn)
+    return parse_ascii_grid(lines, warn).mesh(warn)
 
 
 def is_ascii_grid(lines: Sequence[str]) -> bool:
@@ -49,12 +49,21 @@ def is_ascii_grid(lines: Sequence[str]) -> bool:
     return first.split(maxsplit=1)[0].lower() in _REQUIRED if first else False
 
 
-def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
+def parse_ascii_grid(lines: Sequence[str], warn: Warn) -> ElevationGrid:
     """Return the grid in the lines of a file.
+
+    Cells have no data if they are NaN or, up to the digits of the text, the value that the header states.
+
+    Args:
+        lines: the lines; commas in them are decimal points.
+        warn: callback for warnings.
 
     Raises:
         InputError: the header is incomplete, or the number of values is not that of the cells.
     """
+    if any("," in line for line in lines):
+        warn("commas are read as decimal points")
+        lines = [line.replace(",", ".") for line in lines]
     header: dict[str, float] = {}
     first = 0
     for first, line in enumerate(lines):
@@ -82,7 +91,7 @@ def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
         + step * np.arange(count, dtype=np.float64)
         for axis, step, count in zip("xy", steps, (columns, rows), strict=True)
     )
-    z[z == header.get("nodata_value", _NO_DATA)] = np.nan
+    z[is_stated_nodata(z, header.get(_NO_DATA_KEY, _NO_DATA))] = np.nan
     return ElevationGrid(x, y[::-1], z.reshape(rows, columns))
 
 
@@ -95,6 +104,6 @@ def _number(word: str, key: str, index: int) -> float:
         value = float(word)
     except ValueError:
         value = np.nan
-    if not abs(value) < 1e18:
+    if not abs(value) < 1e18 and (key.lower() != _NO_DATA_KEY or not word):
         raise InputError(f"line {index + 1}: expected {key} and a number, got {word[:40]!r}: export the grid again")
     return value

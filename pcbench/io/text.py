@@ -53,7 +53,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
     check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
     if is_ascii_grid(lines):
-        return parse_ascii_grid(lines).points(warn)
+        return parse_ascii_grid(lines, warn).points(warn)
     layout = find_layout(lines)
     for line in layout.warnings:
         warn(line)

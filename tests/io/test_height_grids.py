@@ -45,6 +45,30 @@ def test_ascii_grids_are_surfaces(grid):
     np.testing.assert_allclose(MeshIndex(mesh).query(inside).distances, 0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("stated", "stored"),
+    [
+        ("nan", "nan"),
+        ("NaN", "NAN"),
+        ("-3.4028234663852886e+38", "-3.40282e+38"),
+        ("-3.40282346638529e+38", "-3.40282346638529e+38"),
+        ("-9999.9", "-9999.900390625"),
+        ("-1e400", "-inf"),
+        ("0", "0"),
+    ],
+)
+def test_values_for_missing_data(tmp_path, stated, stored):
+    text = asc().replace("NODATA_value -9999", f"NODATA_value {stated}").replace("-9999.0", stored)
+    (tmp_path / "a.asc").write_text(text)
+    check_grid(tmp_path / "a.asc")
+
+
+def test_decimal_commas(tmp_path):
+    (tmp_path / "a.asc").write_text(asc().replace(".", ","))
+    _, notes = check_grid(tmp_path / "a.asc")
+    assert notes[0] == f"{tmp_path / 'a.asc'}: commas are read as decimal points"
+
+
 def test_tables_with_the_same_extension_are_clouds(tmp_path):
     (tmp_path / "a.asc").write_text("1 2 3\n4 5 6\n")
     assert Source.open(tmp_path / "a.asc").kind == "cloud"
