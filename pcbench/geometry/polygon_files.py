@@ -14,7 +14,7 @@ import numpy as np
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.regions import AXES, Polygon, Union
-from pcbench.regular_files import read_bytes
+from pcbench.regular_files import decode_text, read_bytes
 
 
 def read_polygon(path: str | Path) -> Polygon | Union:
@@ -51,7 +51,7 @@ def read_zones(path: str | Path) -> dict[str, Polygon | Union]:
     """
     whole = read_polygon(path)
     try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+        content = json.loads(decode_text(read_bytes(path)))
     except ValueError:
         content = None
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
@@ -74,7 +74,7 @@ def _feature_name(feature: dict[str, Any], number: int) -> str:
 def _polygon_from(data: bytes) -> Polygon | Union:
     expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
     try:
-        text = data.decode("utf-8-sig").strip()
+        text = decode_text(data).strip()
     except UnicodeDecodeError as error:
         raise InputError(f"{expected}, got a binary file") from error
     if not text:

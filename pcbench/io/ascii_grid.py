@@ -12,6 +12,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Look, Warn
 from pcbench.io.height_grids import ElevationGrid
 from pcbench.io.nodata import is_stated_nodata
+from pcbench.io.text_layout import decode_table
 
 _REQUIRED = ("ncols", "nrows")
 _NO_DATA_KEY = "nodata_value"
@@ -96,7 +97,7 @@ def parse_ascii_grid(lines: Sequence[str], warn: Warn) -> ElevationGrid:
 
 
 def _lines(data: bytes) -> list[str]:
-    return data.rstrip(b"\0\x1a").decode("utf-8-sig", errors="replace").splitlines()
+    return decode_table(data).rstrip("\0\x1a").splitlines()
 
 
 def _number(word: str, key: str, index: int) -> float:

@@ -23,7 +23,7 @@ from pcbench.io.names import (
     take_points,
     unnamed_columns,
 )
-from pcbench.io.text_layout import NUMBER, TableLayout, content, excerpt, find_layout
+from pcbench.io.text_layout import NUMBER, TableLayout, content, decode_table, excerpt, find_layout
 from pcbench.scratch import atomic_write
 
 _ROWS_PER_WRITE = 1 << 16
@@ -40,18 +40,19 @@ def read_text(path: Path, warn: Warn) -> Fields:
     one is an id, with a warning. In a .pts file, a fourth of four columns is intensity, and the last four of seven
     columns are intensity and colours; each of several blocks with a count is a scan. Other columns are attributes
     "column_4", "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and
-    `# unit TEXT` set the crs and unit.
+    `# unit TEXT` set the crs and unit. `decode_table` lists the encodings.
 
     Raises:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
         OSError: the file cannot be read.
     """
-    stored = path.read_bytes()
-    data = stored.rstrip(b"\0\x1a")
-    if b"\0" in data:
-        raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
-    check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
-    lines = data.decode("utf-8-sig", errors="replace").splitlines()
+    stored = decode_table(path.read_bytes())
+    text = stored.rstrip("\0\x1a")
+    if "\0" in text:
+        raise InputError("expected text, got NUL bytes (a binary file, or UTF-16 without a mark): save it as UTF-8")
+    surplus = stored[len(text) :]
+    check_end(surplus[:MAX_PADDING].encode(), len(surplus), 1, "the last line", warn)
+    lines = text.splitlines()
     if is_ascii_grid(lines):
         return parse_ascii_grid(lines, warn).points(warn)
     layout = find_layout(lines)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from pcbench.errors import InputError
 from pcbench.io.names import XYZ, standard_names
+from pcbench.regular_files import decode_text, encoding_of
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _FORTRAN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+", re.ASCII)
@@ -67,6 +68,15 @@ class _TableHeader(NamedTuple):
     unit: str | None
     crs: str | None
     warnings: list[str]
+
+
+def decode_table(data: bytes) -> str:
+    """Return the text of a table, in UTF-8, in UTF-16 with a byte order mark, or in the Windows code page 1252."""
+    try:
+        return decode_text(data)
+    except UnicodeDecodeError:  # a spreadsheet on Windows wrote it, or UTF-16 is cut off
+        encoding = encoding_of(data)
+        return data.decode(encoding if encoding == "utf-16" else "cp1252", errors="replace")
 
 
 def find_layout(lines: list[str]) -> TableLayout:

@@ -42,6 +42,12 @@ def test_single_point_and_byte_order_mark(tmp_path):
     assert read(tmp_path, b"\xef\xbb\xbfx,y,z\n1,2,3\n", "a.csv").points.tolist() == [[1, 2, 3]]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+def test_encodings(tmp_path, encoding):
+    cloud = read(tmp_path, "x,y,z,H\u00f6henfehler\n1,2,3,4\n\0".encode(encoding), "a.csv", on_warning=lambda _: None)
+    assert (cloud.points.tolist(), list(cloud.attributes)) == ([[1, 2, 3]], ["H\u00f6henfehler"])
+
+
 def test_comments_and_empty_lines(tmp_path):
     text = "# made by hand\n\n// in metres\n  1 2 3\n\n# half way\n4 5 6 # the end\n7 8 9 // really\n   \n"
     assert read(tmp_path, text).points.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
@@ -330,7 +336,7 @@ def test_columns_without_names(tmp_path, row, expected):
 
 DAMAGED_TEXTS = {
     "binary": b"1 2 3\0\0\n",
-    "utf-16": "1 2 3\n".encode("utf-16"),
+    "utf-16": "1 2 3\n".encode("utf-16-le"),
     "blank": "\n \n# nothing\n",
     "header only": "x y z\n",
     "two columns": "1 2\n3 4\n",
