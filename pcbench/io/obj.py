@@ -24,7 +24,7 @@ _CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
 _KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
 
 _SURFACES = (b"f", b"fo", *_CURVED)
-_SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
+_SURFACE = re.compile(rb"(?:^|\r)[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
 
 
 def look_at_obj(path: Path) -> Look:
@@ -88,7 +88,7 @@ def _vertices(data: bytes, warn: Warn) -> Fields:
 def _lines(data: bytes) -> list[bytes]:
     """Return the lines without a byte order mark, which would hide the first vertex; a backslash joins two."""
     data = data.removeprefix(b"\xef\xbb\xbf")
-    return data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    return re.sub(rb"\\(\r\n?|\n)", b" ", data).splitlines()
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:

@@ -19,7 +19,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.columns import as_integers, excerpt, packed_rows, parse_rows, plain_type
-from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, read_rest
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, read_rest, with_line_feeds
 from pcbench.io.names import (
     PACKED_COLORS,
     XYZ,
@@ -87,7 +87,9 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
-        header = _read_header(file)
+        lines = with_line_feeds(file, _MAX_HEADER_BYTES + 1)
+        header = _read_header(lines)
+        file.seek(lines.tell())
         body = read_rest(file)
     header = _with_true_count(header, body, warn)
     if not _is_identity(header.viewpoint):

@@ -14,7 +14,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.io.columns import excerpt
-from pcbench.io.files import errors_named
+from pcbench.io.files import errors_named, with_line_feeds
 from pcbench.io.names import XYZ, standard_names
 
 _MAX_HEADER_BYTES = 1 << 20
@@ -169,6 +169,12 @@ def read_header(file: BinaryIO) -> PlyHeader:
         InputError: the file does not start with a PLY header.
         OSError: the file cannot be read.
     """
+    header = _parse_header(with_line_feeds(file, _MAX_HEADER_BYTES + 1))
+    file.seek(header.nbytes)
+    return header
+
+
+def _parse_header(file: BinaryIO) -> PlyHeader:
     magic = file.readline(16)
     if magic.rstrip() != b"ply":
         if magic.startswith(b"LASF"):
