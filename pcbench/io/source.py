@@ -298,5 +298,5 @@ def _stores_only_meshes(path: Path) -> bool:
 
 
 def _reading_seconds(file: Path) -> float:
-    is_slow = file.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc", ".ptx")
+    is_slow = file.suffix.lower().startswith((".laz", ".txt", ".xyz", ".csv", ".pts", ".asc", ".ptx"))
     return 0.02 + file.stat().st_size / (20e6 if is_slow else 200e6)

@@ -1,4 +1,4 @@
-"""Read and write text tables (.xyz, .txt, .asc, .csv, .pts), one point per line; detect delimiter, header, columns."""
+"""Read and write text tables (.xyz, .txt, .csv, ...), one point per line; detect delimiter, header, columns."""
 
 from __future__ import annotations
 
@@ -27,6 +27,14 @@ from pcbench.io.text_layout import NUMBER, TableLayout, content, decode_table, e
 from pcbench.scratch import atomic_write
 
 _ROWS_PER_WRITE = 1 << 16
+# Columns after x, y and z by the extension of the file and the number of columns: Leica's .pts, and Open3D's others.
+_EXTENSION_NAMES = {
+    (".pts", 4): ("intensity",),
+    (".pts", 7): ("intensity", *COLORS),
+    (".xyzi", 4): ("intensity",),
+    (".xyzn", 6): NORMALS,
+    (".xyzrgb", 6): COLORS,
+}
 _MIN_ID_ROWS = 3  # for a column that counts by one
 _MIN_SORTED_ROWS = 100  # for other columns that may be numbers of points
 
@@ -37,10 +45,10 @@ def read_text(path: Path, warn: Warn) -> Fields:
     A header (which may be a comment) names the columns, with the names of `names.standard_names`, in any order and with
     units ("X [m]"). Without a header the first three columns are x y z, and three others are colours or normals if
     their values allow nothing else (`names.unnamed_columns`). A first column of four or more that counts up or down by
-    one is an id, with a warning. In a .pts file, a fourth of four columns is intensity, and the last four of seven
-    columns are intensity and colours; each of several blocks with a count is a scan. Other columns are attributes
-    "column_4", "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and
-    `# unit TEXT` set the crs and unit. `decode_table` lists the encodings.
+    one is an id, with a warning. The extensions .pts, .xyzi, .xyzn and .xyzrgb name the columns themselves
+    (`_EXTENSION_NAMES`). Each of several blocks with a count is a scan. Other columns are attributes "column_4",
+    "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and `# unit TEXT`
+    set the crs and unit. `decode_table` lists the encodings.
 
     Raises:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
@@ -59,7 +67,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
     for line in layout.warnings:
         warn(line)
     table, scans = _read_blocks(lines, layout, warn)
-    names = _column_names(table, layout, path.suffix.lower() == ".pts", warn)
+    names = _column_names(table, layout, path.suffix.lower(), warn)
     columns: Columns = dict(zip(names, table.T, strict=True))
     points = take_points(columns)
     normals, colors, attributes = take_fields(columns, warn)
@@ -74,7 +82,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
 # ---- columns without names ----------------------------------------------------------------------------------------
 
 
-def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Warn) -> list[str]:
+def _column_names(table: FloatArray, layout: TableLayout, extension: str, warn: Warn) -> list[str]:
     """Return the names of the columns: those of the header, or names by number of columns and values."""
     width = table.shape[1]
     if layout.names is not None and len(layout.names) == width:
@@ -86,8 +94,8 @@ def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Wa
             )
         warn("the first column has no name and counts the lines: it is read as an id")
         return ["id" if "id" not in layout.names else "column_1", *layout.names]
-    if is_pts and width in (4, 7):
-        return [*XYZ, "intensity", *(COLORS if width == 7 else ())]
+    if (extension, width) in _EXTENSION_NAMES:
+        return [*XYZ, *_EXTENSION_NAMES[extension, width]]
     if width > 3 and _counts(table[:, 0]):
         first, last = table[[0, -1], 0]
         warn(

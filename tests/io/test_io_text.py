@@ -138,6 +138,13 @@ def test_pts_columns(tmp_path):
     assert list(read(tmp_path, "1\n1 2 3 4\n", "a.pts").attributes) == ["intensity"]
 
 
+def test_extensions_of_open3d(tmp_path):
+    assert read(tmp_path, "1 2 3 0 0 1\n", "a.xyzn").normals.tolist() == [[0, 0, 1]]
+    assert read(tmp_path, "1 2 3 0 0 1\n", "a.xyzrgb").colors.tolist() == [[0, 0, 255]]
+    assert list(read(tmp_path, "1 2 3 0.5\n", "a.xyzi").attributes) == ["intensity"]
+    assert read(tmp_path, "x y z red green blue\n1 2 3 9 8 7\n", "a.xyzn").colors.tolist() == [[9, 8, 7]]
+
+
 def test_real_files():
     folder = data_folder("autzen")
     cloud = read_cloud(folder / "autzen-bmx-cc.txt")
