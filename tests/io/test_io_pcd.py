@@ -118,6 +118,9 @@ def test_packed_colors_as_whole_numbers(tmp_path):
     cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
     assert (cloud.colors.tolist(), len(notes)) == ([[10, 11, 12]] * 4, 1)
     check_text(*notes)
+    rows[0] = (*rows[0][:3], float("nan"))
+    cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
+    assert cloud.colors[:2].tolist() == [[0, 0, 0], [10, 11, 12]]
 
 
 # ---- LZF ----

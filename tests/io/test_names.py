@@ -27,6 +27,7 @@ SCALES = {
     "from 0 to 1": ("float F4", (1.0, 0.0, 0.5), [255, 0, 128]),
     "floats to 255": ("float F4", (255.0, 0.0, 6.6), [255, 0, 7]),
     "double": ("double F8", (0.2, 0.0, 0.4), [51, 0, 102]),
+    "interpolated": ("float F4", (1.02, -1e-7, 0.4), [255, 0, 102]),
 }
 UNSCALED = {"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)}
 
