@@ -35,6 +35,7 @@ _EXTENSION_NAMES = {
     (".xyzn", 6): NORMALS,
     (".xyzrgb", 6): COLORS,
 }
+_MAX_CLASS = 31  # of the first point formats of LAS; colours of a photograph are brighter
 _MIN_ID_ROWS = 3  # for a column that counts by one
 _MIN_SORTED_ROWS = 100  # for other columns that may be numbers of points
 
@@ -120,6 +121,14 @@ def _names_by_values(table: FloatArray, first: int, warn: Warn) -> list[str]:
             " in a first line, such as '# x y z intensity red green blue'"
         )
         return [*XYZ, *(f"column_{k}" for k in range(first + 3, end))]
+    if COLORS[0] in names:
+        start = names.index(COLORS[0])
+        if (high := table[:, start : start + 3].max()) <= _MAX_CLASS:
+            warn(
+                f"columns {first + start} to {first + start + 2} have no names and are read as colours, of at most"
+                f" {high:g}: if they are classes or returns, name all columns in a first line, such as '# x y z"
+                " classification return_number number_of_returns'"
+            )
     return names
 
 

@@ -339,6 +339,13 @@ def test_columns_without_names(tmp_path, row, expected):
         assert cloud.colors[0].tolist() == [9, 0, 1]
 
 
+def test_columns_that_may_be_classes_have_a_warning(tmp_path):
+    cloud, notes = read_with_notes(tmp_path, "0.5 2 3 2 1 1\n0.5 2 4 6 2 3\n")
+    assert (cloud.colors.tolist(), len(notes)) == ([[2, 1, 1], [6, 2, 3]], 1)
+    check_text(*notes)
+    assert not read_with_notes(tmp_path, "0.5 2 3 2 1 1\n0.5 2 4 6 2 32\n")[1]
+
+
 # ---- damage ----
 
 DAMAGED_TEXTS = {
