@@ -27,10 +27,11 @@ PACKED_COLORS = ("rgb", "rgba")  # alpha, red, green and blue in the four bytes 
 
 # Other names, in lower case. Coordinates may have names of different kinds.
 _COORDINATES = {
-    "x": ("easting", "east", "e", "point_x", "x_coord", "coord_x", "x_coordinate"),
-    "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate"),
+    "x": ("easting", "east", "e", "point_x", "x_coord", "coord_x", "x_coordinate", "rechtswert", "ostwert"),
+    "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate", "hochwert", "nordwert"),
     "z": ("elevation", "height", "altitude", "elev", "alt", "h", "point_z", "z_coord", "coord_z", "z_coordinate"),
 }
+_COORDINATES["z"] += ("höhe", "hoehe", "höjd", "hojd")
 _COORDINATES = {
     axis: (
         *names,
@@ -112,6 +113,22 @@ def standard_names(names: Sequence[str], taken: Collection[str] = ()) -> list[st
         elif alias in _ATTRIBUTE_NAMES:
             rename(column, _ATTRIBUTE_NAMES[alias])
     return [renamed.get(column, name) for column, name in enumerate(names)]
+
+
+def other_coordinates(names: Sequence[str]) -> list[str]:
+    """Return the columns that could also be x, y and z, beside those that `standard_names` chooses; [] unless all are.
+
+    Args:
+        names: names of the columns, which are unique and have x, y and z among them.
+    """
+    standard = standard_names(names)
+    plain = [name.lower().replace(" ", "_").replace(":", "_") for name in names]
+    others = [
+        next((names[k] for k, alias in enumerate(plain) if alias in (axis, *aliases) and standard[k] != axis), None)
+        for axis, aliases in _COORDINATES.items()
+    ]
+    found = [name for name in others if name is not None]
+    return found if len(found) == len(XYZ) else []
 
 
 class PointFields(NamedTuple):

@@ -69,7 +69,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
         warn(line)
     table, scans = _read_blocks(lines, layout, warn)
     names = _column_names(table, layout, path.suffix.lower(), warn)
-    columns: Columns = dict(zip(names, table.T, strict=True))
+    if layout.texts:
+        warn(f"left out columns of text: {', '.join(repr(names[k][:40]) for k in sorted(layout.texts))}")
+    columns: Columns = {
+        name: column for k, (name, column) in enumerate(zip(names, table.T, strict=True)) if k not in layout.texts
+    }
     points = take_points(columns)
     normals, colors, attributes = take_fields(columns, warn)
     attributes = {name: column.copy() for name, column in attributes.items()}
@@ -198,6 +202,8 @@ def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Wa
     if first is None:
         return np.empty((0, layout.width))
     try:
+        if layout.texts:
+            raise ValueError
         if layout.plain(first) != first.strip():
             body = [layout.plain(line) for line in body]
         table = np.loadtxt(body, dtype=np.float64, comments=None, delimiter=layout.delimiter, ndmin=2)
@@ -207,11 +213,9 @@ def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Wa
         pass  # comments between points, empty values or a damaged line: parse line by line
     rows, empty = [], 0
     for number, line in enumerate(lines[start:end], start + 1):
-        if not (plain := layout.plain(line)):
+        if not content(line):
             continue
-        words = [word.strip() for word in plain.split(layout.delimiter)]
-        if len(words) == layout.width + 1 and not words[-1]:
-            words.pop()  # after a delimiter at the end of this line
+        words = layout.words(line)
         gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
         for k in gaps:
             words[k] = "nan"

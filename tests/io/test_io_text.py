@@ -105,6 +105,38 @@ def test_colors_out_of_range_are_attributes(tmp_path, values):
     assert list(cloud.attributes) == ["red", "green", "blue"]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name,z,x,y,i,code\nP1,3,1,2,7,tree\n"P2, old",6,4,5,8,\n',
+        "name;z;x;y;i;code\nP1;3,0;1,0;2,0;7;tree\nP2;6,0;4,0;5,0;8;1,5 m\n",
+        "name\tz\tx\ty\ti\tcode\nP1\t3\t1\t2\t7\ttree\nP 2\t6\t4\t5\t8\tbig tree\n",
+        "# name z x y i code\nP1 3 1 2 7 tree\nP2 6 4 5 8 house\n",
+    ],
+)
+def test_columns_of_text_are_left_out(tmp_path, text):
+    notes = []
+    cloud = read(tmp_path, text, on_warning=notes.append)
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"i": [7, 8]}
+    check_text("\n".join(notes))
+
+
+def test_words_for_empty_values(tmp_path):
+    cloud = read(tmp_path, "x,y,z,a,b\n1,2,3,NA,4\n4,5,6,7,null\n", on_warning=lambda _: None)
+    np.testing.assert_array_equal(cloud.attributes["a"], [np.nan, 7])
+    np.testing.assert_array_equal(cloud.attributes["b"], [4, np.nan])
+
+
+def test_a_second_triple_of_coordinates_has_a_warning(tmp_path):
+    notes = []
+    for header in ("X,Y,Z,x,y,z", "Easting,Northing,Elevation,x,y,z"):
+        cloud = read(tmp_path, f"{header}\n1,2,3,4,5,6\n", on_warning=notes.append)
+        assert cloud.points.tolist() == [[4, 5, 6]]
+    read(tmp_path, "x,y,z,height\n1,2,3,4\n", on_warning=pytest.fail)  # above the ground
+    check_text("\n".join(notes))
+
+
 def test_prose_is_not_a_header(tmp_path):
     assert read(tmp_path, "# x y z in metres\n1 2 3\n").points.tolist() == [[1, 2, 3]]
 
@@ -362,6 +394,8 @@ DAMAGED_TEXTS = {
     "other digits": "1 2 3\n4 \u0665 6\n",
     "latin-1": b"1 2 3\n4 5 6 m\xb2\n",
     "label": "P1 1 2 3\n",
+    "text for a coordinate": "name,x,y,z\nP1,1,2,3\nP2,4,five,6\n",
+    "text below numbers": "x,y,z,name\n1,2,3,4\n1,2,3,P4\n",
     "prose": "hello world\n1 2 3\n",
     "two headers": "x y z\na b c\n1 2 3\n",
     "names": "x y z a\n1 2 3\n",
