@@ -36,6 +36,7 @@ _EXTENSION_NAMES = {
     (".xyzrgb", 6): COLORS,
 }
 _MAX_CLASS = 31  # of the first point formats of LAS; colours of a photograph are brighter
+_MAX_ROTATION_ERROR = 1e-3  # relative, of matrices with few digits
 _MIN_ID_ROWS = 3  # for a column that counts by one
 _MIN_SORTED_ROWS = 100  # for other columns that may be numbers of points
 
@@ -68,6 +69,8 @@ def read_text(path: Path, warn: Warn) -> Fields:
     for line in layout.warnings:
         warn(line)
     table, scans = _read_blocks(lines, layout, warn)
+    if layout.names is None and (matrix := _matrix_kind(table)):
+        raise InputError(f"expected a point cloud, got {matrix}: name a cloud")
     names = _column_names(table, layout, path.suffix.lower(), warn)
     if layout.texts:
         warn(f"left out columns of text: {', '.join(repr(names[k][:40]) for k in sorted(layout.texts))}")
@@ -162,6 +165,19 @@ def _doubt(table: FloatArray) -> str | None:
 
 def _are_whole(values: FloatArray) -> bool:
     return bool((values[:100] == np.floor(values[:100])).all() and (values == np.floor(values)).all())
+
+
+def _matrix_kind(table: FloatArray) -> str | None:
+    """Return what the values are if they are the matrix of a lens or of a transform, which no points look like."""
+    if table.shape == (3, 3):
+        is_camera = (table[[0, 1, 0, 1], [0, 1, 2, 2]] > 0).all() and table[1, 0] == 0
+        return "a 3x3 camera matrix" if is_camera and table[2].tolist() == [0, 0, 1] else None
+    if table.shape not in ((3, 4), (4, 4)) or (len(table) == 4 and table[3].tolist() != [0, 0, 0, 1]):
+        return None
+    product = table[:3, :3] @ table[:3, :3].T
+    scale = product[0, 0]
+    is_rotation = scale > 0 and np.abs(product - scale * np.eye(3)).max() < _MAX_ROTATION_ERROR * scale
+    return f"a {len(table)}x4 matrix of a transform (--register matrix:FILE)" if is_rotation else None
 
 
 # ---- numbers ------------------------------------------------------------------------------------------------------

@@ -414,6 +414,9 @@ DAMAGED_TEXTS = {
     "grid without size": "ncols 2\nnrows 2\n1 2 3 4\n",
     "grid of words": "ncols 2\nnrows 1\ncellsize 1\n1 two\n",
     "grid without data": "ncols 2\nnrows 1\ncellsize 1\n-9999 -9999\n",
+    "camera matrix": "2759.48 0 1520.69\n0 2764.16 1006.81\n0 0 1\n",
+    "transform": "0 -2 0 100\n2 0 0 200\n0 0 2 5\n0 0 0 1\n",
+    "pose": "0 -1 0 100\n1 0 0 200\n0 0 1 5\n",
     "long": "1 2 3\n" + "a" * 1000,
 }  # fmt: skip
 
