@@ -251,6 +251,8 @@ REFUSED_FILES = {
     "magic.off": b"ply\n",
     "comment.off": b"# OFF\n",
     "counts.off": b"OFF\nmany words\n",
+    "points.off": b"OFF\n1 0 0\n0 0 0\n",
+    "short words.off": off().replace(b"\n", b" ")[:-20],
     "huge.off": off().replace(b"8 12 0", b"8 999999999 0"),
     "cut.off": off()[:30],
     "short face.off": off()[:-3] + b"\n",
