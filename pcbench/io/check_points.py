@@ -43,7 +43,7 @@ _MAX_POINTS = 20_000  # each keeps 256 points of the cloud
 _WITHOUT_HEADER = {3: ("x", "y", "z"), 4: ("name", "x", "y", "z")}
 _COMMENTS = ("#", "//", "%")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-_UNIT = re.compile(r"[\[(].*[\])]$")  # of a column's name, as in "x [m]"
+_UNIT = re.compile(r"[\[(][^\[(]*[\])]$")  # of a column's name, as in "x [m]"
 EXPECTED = "a header line that names the columns (name, x, y, z), or lines of `name x y z` or `x y z` without one"
 
 

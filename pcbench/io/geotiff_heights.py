@@ -31,7 +31,7 @@ from pcbench.scratch import scratch_folder
 
 _RASTER_TYPE, _PIXEL_IS_POINT = 1025, 2
 _ESRI_WKT = re.compile(r"ESRI PE String = ([^|]*)")  # where a system has no EPSG code
-_ITEM = re.compile(r'<Item[^>]*role="(unittype|scale|offset)"[^>]*>([^<]*)</Item>')  # of GDAL's metadata
+_ITEM = re.compile(r'<Item[^<>]*role="(unittype|scale|offset)"[^<>]*>([^<]*)</Item>')  # of GDAL's metadata
 
 
 def look_at_geotiff(path: Path) -> Look:

@@ -8,7 +8,8 @@ Writers rename attributes with `stored_attributes`.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,6 +114,11 @@ def standard_names(names: Sequence[str], taken: Collection[str] = ()) -> list[st
         elif alias in _ATTRIBUTE_NAMES:
             rename(column, _ATTRIBUTE_NAMES[alias])
     return [renamed.get(column, name) for column, name in enumerate(names)]
+
+
+def repeated_name(names: Iterable[str]) -> str | None:
+    """Return the first name that occurs again; None if there is none."""
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def other_coordinates(names: Sequence[str]) -> list[str]:

@@ -25,6 +25,7 @@ from pcbench.io.names import (
     XYZ,
     Columns,
     left_out_warning,
+    repeated_name,
     standard_names,
     stored_attributes,
     take_fields,
@@ -33,6 +34,7 @@ from pcbench.io.names import (
 from pcbench.scratch import atomic_write
 
 _MAX_HEADER_BYTES = 1 << 20
+_MAX_VALUES = 10_000  # per point, each of which becomes an attribute; the longest descriptors of PCL have 1,980
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
@@ -220,7 +222,7 @@ def _field(name: str, code: str, count: str) -> _Field:
 def _field_names(words: list[str]) -> list[str]:
     """Return the standard names of the fields; "_" is padding."""
     names = [word for word in words if word != "_"]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := repeated_name(names):
         raise InputError(f"header: expected unique field names, got {twice[:40]!r} twice: rename one of them")
     standard = iter(standard_names(names))
     return [word if word == "_" else next(standard) for word in words]
@@ -233,6 +235,8 @@ def _check_fields(fields: list[_Field]) -> None:
             f"expected fields x, y, z; missing: {', '.join(missing)} in {' '.join(names)[:100]}: export it with"
             " coordinates"
         )
+    if (values := sum(field.count for field in fields if field.name != "_")) > _MAX_VALUES:
+        raise InputError(f"header: expected at most {_MAX_VALUES} values per point, got {values}: leave out fields")
     for field in fields:
         if not field.count or (field.name in XYZ + PACKED_COLORS and field.count != 1):
             raise InputError(f"header: expected COUNT 1 for {field.name[:40]!r}, got {field.count}: export it again")

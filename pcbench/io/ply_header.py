@@ -15,7 +15,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.io.columns import excerpt
 from pcbench.io.files import errors_named, with_line_feeds
-from pcbench.io.names import XYZ, standard_names
+from pcbench.io.names import XYZ, repeated_name, standard_names
 
 _MAX_HEADER_BYTES = 1 << 20
 _MAX_COUNT_DIGITS = 18  # 10^18 rows are more than any file contains; products with row sizes are checked later
@@ -266,7 +266,7 @@ def _type(word: str) -> np.dtype[Any]:
 
 def _with_standard_names(vertex: Element) -> Element:
     names = [prop.name for prop in vertex.properties]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := repeated_name(names):
         raise InputError(f"expected unique vertex properties, got {twice[:40]!r} twice: rename one of them")
     properties = [replace(prop, name=name) for prop, name in zip(vertex.properties, standard_names(names), strict=True)]
     return replace(vertex, properties=properties)

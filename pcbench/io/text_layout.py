@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from pcbench.errors import InputError
-from pcbench.io.names import XYZ, other_coordinates, standard_names
+from pcbench.io.names import XYZ, other_coordinates, repeated_name, standard_names
 from pcbench.regular_files import decode_text, encoding_of
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
@@ -281,7 +281,7 @@ def is_units_row(words: Sequence[str]) -> bool:
 
 
 def _words_of(header: str) -> list[str]:
-    header = re.sub(r"\s+(?=[\[(])", "", header)  # "X [m]" is one word
+    header = re.sub(r"(?<!\s)\s+(?=[\[(])", "", header)  # "X [m]" is one word
     return [word or f"column_{k}" for k, word in enumerate(split(header, find_delimiter(header)), 1)]
 
 
@@ -294,6 +294,11 @@ def _names(words: list[str]) -> tuple[list[str], list[str]]:
     if not {"x", "y"} & set(plain) and sum(name in _GEOGRAPHIC for name in plain) == 2:
         names = [_GEOGRAPHIC.get(name.lower(), name) for name in names]
     return names, units
+
+
+def _without_unit(word: str) -> str:
+    match = _UNIT.fullmatch(word)
+    return word if match is None else match[1].strip()
 
 
 def _has_xyz(text: str) -> bool:
@@ -320,11 +325,12 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
     """
     words = _words_of(text)
     names, units = _names(words)
-    unique = list(names)
+    unique, seen = list(names), set[str]()
     for position, name in enumerate(names):
-        if name in names[:position] and name.lower() not in XYZ:
+        if name in seen and name.lower() not in XYZ:
             unique[position] = f"{name}_{position + 1}"
-    if twice := next((name for name in unique if unique.count(name) > 1), None):
+        seen.add(name)
+    if twice := repeated_name(unique):
         raise InputError(
             f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
         )
@@ -352,8 +358,7 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
         )
     stated = {(units_row or units)[standard.index(axis)].strip("[]()") for axis in XYZ}
     if is_geographic := any(
-        word.lower() in _GEOGRAPHIC and standard[position] in XYZ
-        for position, word in enumerate(_UNIT.sub(r"\1", word).strip() for word in words)
+        _without_unit(word).lower() in _GEOGRAPHIC and standard[position] in XYZ for position, word in enumerate(words)
     ):
         warnings.append(f"longitude and latitude are read as x and y in degrees ({_WGS84})")
     elif len(stated) > 1 and "" not in stated:

@@ -160,6 +160,7 @@ FOUR_POINTS = points(4)
 COMPRESSED_PCD = pcd("binary_compressed", XYZ, FOUR_POINTS)
 BODY_START = COMPRESSED_PCD.index(b"binary_compressed\n") + len(b"binary_compressed\n")
 DAMAGED_FILES = {
+    "many values": pcd("binary", [*XYZ, "a U1 10000"], [(*point, *[0] * 10_000) for point in points(1)]),
     "another format": b"ply\nformat ascii 1.0\n",
     "no data": b"VERSION 0.7\nFIELDS x y z\n",
     "long": b"# long\n" * 200_000,

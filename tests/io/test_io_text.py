@@ -137,6 +137,12 @@ def test_a_second_triple_of_coordinates_has_a_warning(tmp_path):
     check_text("\n".join(notes))
 
 
+@pytest.mark.parametrize("name", [" " * 60_000 + "a", "a" + "(" * 60_000])
+def test_long_headers_take_linear_time(tmp_path, name):
+    assert read(tmp_path, f"x y z {name}\n1 2 3 4\n").points.tolist() == [[1, 2, 3]]
+    refusal(tmp_path, "x\ty\tz" + "\t" * 20_000 + "\n1\t2\t3\n")
+
+
 def test_prose_is_not_a_header(tmp_path):
     assert read(tmp_path, "# x y z in metres\n1 2 3\n").points.tolist() == [[1, 2, 3]]
 
