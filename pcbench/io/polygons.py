@@ -84,7 +84,7 @@ def _cut_ears(vertices: FloatArray, ring: IntArray, normal: FloatArray) -> IntAr
         best, points = None, flat[left]
         for k, tip in enumerate(() if crosses else left):
             corners = flat[[left[k - 1], tip, left[(k + 1) % len(left)]]]
-            if _turns(*corners[:2], corners[2:])[0] > 0 and not _any_inside(points, corners):
+            if _turns(corners[0], corners[1], corners[2:])[0] > 0 and not _any_inside(points, corners):
                 best = k
                 break
         crosses = best is None  # a polygon without an ear crosses itself

@@ -131,9 +131,9 @@ def find_layout(lines: list[str]) -> TableLayout:
         if header is not None and not units and is_units_row(words):
             units = words
             continue
-        named = header[1] if header is not None else comment
-        if named is not None and (texts := _text_columns(named, numbers, delimiter)):
-            words = cells(numbers, delimiter, len(_words_of(named)))
+        column_names = header[1] if header is not None else comment
+        if column_names is not None and (texts := _text_columns(column_names, numbers, delimiter)):
+            words = cells(numbers, delimiter, len(_words_of(column_names)))
             break
         is_header = _has_xyz(numbers) or not any(NUMBER.fullmatch(word) for word in words)
         if not is_header or header is not None or count is not None:
