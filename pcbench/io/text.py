@@ -64,7 +64,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
     check_end(surplus[:MAX_PADDING].encode(), len(surplus), 1, "the last line", warn)
     lines = text.splitlines()
     if is_ascii_grid(lines):
-        return parse_ascii_grid(lines, warn).points(warn)
+        return parse_ascii_grid(path, lines, warn).points(warn)
     layout = find_layout(lines)
     for line in layout.warnings:
         warn(line)

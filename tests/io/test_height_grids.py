@@ -63,6 +63,24 @@ def test_values_for_missing_data(tmp_path, stated, stored):
     check_grid(tmp_path / "a.asc")
 
 
+def test_a_coordinate_system_beside_a_grid(grid):
+    import_or_skip("pyproj")
+    wkt = (
+        'PROJCS["WGS_1984_UTM_Zone_32N",GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137.0,'
+        '298.257223563]],PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+        'PARAMETER["False_Easting",500000.0],PARAMETER["False_Northing",0.0],PARAMETER["Central_Meridian",9.0],'
+        'PARAMETER["Scale_Factor",0.9996],PARAMETER["Latitude_Of_Origin",0.0],UNIT["Meter",1.0]]'
+    )
+    grid.with_suffix(".prj").write_text(wkt)
+    mesh, notes = check_grid(grid)
+    assert "UTM" in mesh.crs or mesh.crs == "EPSG:32632"
+    assert (mesh.unit, len(notes)) == ("m", 1)
+    grid.with_suffix(".prj").write_text("Projection UTM\nZone 32\n")
+    mesh, notes = check_grid(grid)
+    assert mesh.crs is None
+    check_text("\n".join(notes))
+
+
 def test_decimal_commas(tmp_path):
     (tmp_path / "a.asc").write_text(asc().replace(".", ","))
     _, notes = check_grid(tmp_path / "a.asc")
