@@ -170,7 +170,7 @@ def _are_whole(values: FloatArray) -> bool:
 def _matrix_kind(table: FloatArray) -> str | None:
     """Return what the values are if they are the matrix of a lens or of a transform, which no points look like."""
     if table.shape == (3, 3):
-        is_camera = (table[[0, 1, 0, 1], [0, 1, 2, 2]] > 0).all() and table[1, 0] == 0
+        is_camera = (table[[0, 1, 0, 1], [0, 1, 2, 2]] > 0).all() and table[0, 1] == table[1, 0] == 0
         return "a 3x3 camera matrix" if is_camera and table[2].tolist() == [0, 0, 1] else None
     if table.shape not in ((3, 4), (4, 4)) or (len(table) == 4 and table[3].tolist() != [0, 0, 0, 1]):
         return None
