@@ -68,7 +68,9 @@ def _vertices(data: bytes, warn: Warn) -> Fields:
                 raise ValueError
             rows[words[0]].append([float(word) for word in words[1:]])
         except ValueError:
-            raise InputError(f"line {number}: expected '{words[0].decode()} x y z', got {excerpt(line)}") from None
+            raise InputError(
+                f"line {number}: expected '{words[0].decode()} x y z', got {excerpt(line)}: export it again"
+            ) from None
     vertices, normals = rows[b"v"], rows[b"vn"]
     if not vertices:
         raise InputError("expected at least one line 'v x y z', got none: export the file again")
@@ -125,7 +127,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 left_out += 1
         except (ValueError, OverflowError):
             expected = "'v x y z'" if words[0] == b"v" else f"'f a b c' with vertices 1 to {len(coordinates) // 3}"
-            raise InputError(f"line {number}: expected {expected}, got {excerpt(line)}") from None
+            raise InputError(f"line {number}: expected {expected}, got {excerpt(line)}: export it again") from None
     if left_out:
         warn(f"left out {left_out} point and line elements")
     if not lengths:

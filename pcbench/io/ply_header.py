@@ -207,7 +207,7 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
                     comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
                 continue
             if not line.isascii() or not b" ".join(words).decode().isprintable():
-                raise InputError(f"expected ASCII text, got {excerpt(line)}")
+                raise InputError(f"expected ASCII text, got {excerpt(line)}: export it again")
             match [word.decode() for word in words]:
                 case []:
                     pass
@@ -217,17 +217,21 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
                 case ["format", *_] if formats:
                     raise InputError("expected one format line, got a second: export the file again")
                 case ["format", *_]:
-                    raise InputError(f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}")
+                    raise InputError(
+                        f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}: export again"
+                    )
                 case ["element", name, count]:
                     if name in elements:
-                        raise InputError(f"expected unique elements, got {name[:40]!r} twice")
+                        raise InputError(f"expected unique elements, got {name[:40]!r} twice: export it again")
                     elements[name] = current = Element(name, _count(count, name))
                 case ["property", *rest] if elements:
                     current.properties.append(_property(rest))
                 case ["property", *_]:
                     raise InputError("expected an element before the first property: export it again")
                 case _:
-                    raise InputError(f"expected format, element, property, comment or end_header, got {excerpt(line)}")
+                    raise InputError(
+                        f"expected format, element, property, comment or end_header, got {excerpt(line)}: export again"
+                    )
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
     if (vertex := elements.get("vertex")) is not None:
@@ -238,7 +242,9 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
 
 def _count(word: str, element: str) -> int:
     if not word.isdigit():
-        raise InputError(f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}")
+        raise InputError(
+            f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}: export again"
+        )
     if len(word) > _MAX_COUNT_DIGITS:
         raise InputError(f"{word[:40]} of {element!r} are more than any file contains: export it again")
     return int(word)
@@ -249,18 +255,19 @@ def _property(words: list[str]) -> Property:
         case ["list", length, item, name]:
             counter = _type(length)
             if counter.kind == "f":
-                raise InputError(f"expected an integer type for the list length, got {length!r}")
+                raise InputError(f"expected an integer type for the list length, got {length!r}: export again")
             return Property(name, _type(item), counter)
         case [item, name] if item != "list":
             return Property(name, _type(item))
     raise InputError(
-        f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}"
+        f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}:"
+        " export again"
     )
 
 
 def _type(word: str) -> np.dtype[Any]:
     if word not in _TYPES:
-        raise InputError(f"expected a type of {', '.join(_TYPES)}; got {word[:40]!r}")
+        raise InputError(f"expected a type of {', '.join(_TYPES)}; got {word[:40]!r}: export it again")
     return np.dtype(_TYPES[word])
 
 

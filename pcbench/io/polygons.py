@@ -52,7 +52,9 @@ def triangulate(vertices: FloatArray, lengths: IntArray, corners: IntArray, warn
     """
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(vertices)):
         wrong = corners.min() if corners.min() < 0 else corners.max()
-        raise InputError(f"expected vertex indices from 0 to {len(vertices) - 1} in faces, got {wrong}")
+        raise InputError(
+            f"expected vertex indices from 0 to {len(vertices) - 1} in faces, got {wrong}: export it again"
+        )
     if small := int(np.count_nonzero(lengths < 3)):
         warn(f"left out {small} of {len(lengths)} faces with fewer than three corners")
     counts = np.maximum(lengths - 2, 0)
