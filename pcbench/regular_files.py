@@ -5,13 +5,14 @@ Opening a named pipe blocks until it has a writer, and a device such as /dev/zer
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import json
 import os
 import stat
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pcbench.errors import InputError
 
@@ -52,17 +53,31 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) ->
         return file.read()
 
 
-def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Read a small regular UTF-8 text file, with or without a byte order mark.
+def encoding_of(data: bytes) -> Literal["utf-16", "utf-8-sig"]:
+    """Return the encoding of a text by its byte order mark: UTF-16, as PowerShell writes it, or else UTF-8."""
+    return "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+
+
+def decode_text(data: bytes) -> str:
+    """Return text in UTF-8, with or without a byte order mark, or in UTF-16 with one.
 
     Raises:
-        InputError: as `read_bytes`, or the file is not UTF-8 text; the message does not contain the path.
+        UnicodeDecodeError: the text is in another encoding.
+    """
+    return data.decode(encoding_of(data))
+
+
+def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """Read a small regular text file in an encoding of `decode_text`.
+
+    Raises:
+        InputError: as `read_bytes`, or the file is not such text; the message does not contain the path.
         OSError: it cannot be read.
     """
     try:
-        return read_bytes(path, max_bytes).decode("utf-8-sig")
+        return decode_text(read_bytes(path, max_bytes))
     except UnicodeDecodeError:
-        raise InputError("expected a UTF-8 text file") from None
+        raise InputError("expected a UTF-8 text file: save it as UTF-8") from None
 
 
 def read_json(path: Path) -> Any:
@@ -73,7 +88,7 @@ def read_json(path: Path) -> Any:
         OSError: the file cannot be read.
     """
     try:
-        return json.loads(read_bytes(path, _MAX_JSON_BYTES).decode("utf-8-sig"))
+        return json.loads(decode_text(read_bytes(path, _MAX_JSON_BYTES)))
     except UnicodeDecodeError:
         raise InputError("expected JSON, got a binary file: choose the .json file") from None
     except InputError:  # also a ValueError, but its message is complete

@@ -11,7 +11,10 @@ _PAGE, _PAYLOAD = 1024, 1020
 
 
 def write(path, scans, crs=""):
-    """Write scans, given as dictionaries of columns; `pose` is a quaternion (w, x, y, z) and a translation."""
+    """Write scans, given as dictionaries of columns; `pose` is a quaternion (w, x, y, z) and a translation.
+
+    A scan without columns has no points.
+    """
     from pye57 import libe57
 
     file = libe57.ImageFile(str(path), "w")
@@ -26,7 +29,8 @@ def write(path, scans, crs=""):
     root.set("data3D", data)
     for number, scan in enumerate(scans):
         data.append(_scan(libe57, file, number, scan))
-        _fill(libe57, file, data[number], {name: v for name, v in scan.items() if name not in ("pose", "limits")})
+        if scan:
+            _fill(libe57, file, data[number], {name: v for name, v in scan.items() if name not in ("pose", "limits")})
     file.close()
     return path
 
@@ -54,7 +58,8 @@ def _scan(libe57, file, number, scan):
         if name not in ("pose", "limits"):
             is_integer = np.issubdtype(np.asarray(values).dtype, np.integer)
             prototype.set(name, libe57.IntegerNode(file, 0, 0, 65535) if is_integer else libe57.FloatNode(file, 0.0))
-    node.set("points", libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True)))
+    if scan:
+        node.set("points", libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True)))
     return node
 
 

@@ -125,6 +125,8 @@ CUBES = {
     "glued colored.off": off().replace(b"OFF\n", b"COFF").replace(b".0\n", b".0 255 0 0 255\n"),
     "normals.off": off().replace(b"OFF", b"STCNOFF").replace(b".0\n", b".0 0 0 1 255 0 0 255 0.5 0.5\n"),
     "homogeneous.off": off().replace(b"OFF", b"4OFF").replace(b"1.0", b"2.0").replace(b".0\n", b".0 2.0\n"),
+    "words.off": off().replace(b"\n", b" "),
+    "columns.off": off().replace(b" ", b"\n"),
     "marked.obj": b"\xef\xbb\xbf" + obj()[obj().index(b"v ") :],  # a byte order mark
     "marked.off": b"\xef\xbb\xbf" + off(),
     "end of file.stl": ascii_stl() + b"\x1a",

@@ -119,6 +119,8 @@ class EarlyOutput:
                 sys.stdout.flush()
         except OSError as error:
             self._error = error
+        except SystemExit:  # rich ends the process if the pipe has no reader
+            self._error = BrokenPipeError()
 
     def check(self) -> None:
         """Raise the error of an earlier print, such as BrokenPipeError, if there was one."""

@@ -14,7 +14,7 @@ import numpy as np
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.regions import AXES, Polygon, Union
-from pcbench.regular_files import read_bytes
+from pcbench.regular_files import decode_text, read_bytes
 
 
 def read_polygon(path: str | Path) -> Polygon | Union:
@@ -23,7 +23,7 @@ def read_polygon(path: str | Path) -> Polygon | Union:
     GeoJSON may be a Polygon, a MultiPolygon, a Feature or a FeatureCollection (RFC 7946). WKT may be a POLYGON or
     MULTIPOLYGON, with or without Z and M and a leading SRID. A selection volume is the JSON file that Open3D writes and
     Tanks and Temples uses for cropping: class_name SelectionPolygonVolume. Coordinates are taken as those of the
-    reference, whatever coordinate system the file states.
+    reference, see `stated_epsg`.
 
     Raises:
         InputError: the file cannot be read or has none of these formats.
@@ -40,6 +40,21 @@ def read_polygon(path: str | Path) -> Polygon | Union:
     return polygon
 
 
+def stated_epsg(path: str | Path) -> int | None:
+    """Return the EPSG code of the coordinate system that a file of polygons states; None if it states none.
+
+    GeoJSON states it in the member "crs" of the earlier standard, as QGIS writes it, and WKT by a leading SRID.
+
+    Raises:
+        InputError, OSError: the file cannot be read.
+    """
+    data = read_bytes(path)
+    match = _SRID.match(data) or _NAMED_CRS.search(data)
+    if match is None:
+        return None
+    return int(match["code"]) if match["code"] else _WGS84
+
+
 def read_zones(path: str | Path) -> dict[str, Polygon | Union]:
     """Read polygons by their names from a GeoJSON or WKT file.
 
@@ -51,7 +66,7 @@ def read_zones(path: str | Path) -> dict[str, Polygon | Union]:
     """
     whole = read_polygon(path)
     try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+        content = json.loads(decode_text(read_bytes(path)))
     except ValueError:
         content = None
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
@@ -74,7 +89,7 @@ def _feature_name(feature: dict[str, Any], number: int) -> str:
 def _polygon_from(data: bytes) -> Polygon | Union:
     expected = "expected a polygon as GeoJSON, WKT or SelectionPolygonVolume"
     try:
-        text = data.decode("utf-8-sig").strip()
+        text = decode_text(data).strip()
     except UnicodeDecodeError as error:
         raise InputError(f"{expected}, got a binary file") from error
     if not text:
@@ -128,6 +143,9 @@ def _feature_parts(feature: Any) -> list[_Part]:
 
 
 _WKT = re.compile(r"(SRID\s*=\s*\d+\s*;\s*)?(?P<multi>MULTI)?POLYGON\s*(ZM|Z|M)?(?![a-z])\s*", re.IGNORECASE)
+_SRID = re.compile(rb"\s*SRID\s*=\s*(?P<code>\d{1,9})\s*;", re.IGNORECASE)
+_NAMED_CRS = re.compile(rb'"crs"\s*:\s*\{[^{}]*\{\s*"name"\s*:\s*"[^"]*(?:EPSG:+(?P<code>\d{1,9})|CRS84)"')
+_WGS84 = 4326
 _WKT_RING = re.compile(r"\(([^()]*)\)")
 _WKT_PART = re.compile(r"\((?:R,)*R\)")
 _WKT_PARTS = re.compile(r"\((?:\((?:R,)*R\),)*\((?:R,)*R\)\)")

@@ -9,7 +9,8 @@ import numpy as np
 
 from pcbench.errors import InputError, did_you_mean
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.polygon_files import as_finite_number, read_polygon, shorten
+from pcbench.geometry.crs import epsg_codes
+from pcbench.geometry.polygon_files import as_finite_number, read_polygon, shorten, stated_epsg
 from pcbench.geometry.regions import Box, Region, Sphere
 
 _KINDS = ("none", "box", "sphere", "polygon", "reference", "quantile")
@@ -72,8 +73,11 @@ def as_region(region: Region | str, reference: Cloud) -> Region | None:
     """Return a region itself, or the region that a text describes; see `parse_region`.
 
     Raises:
-        InputError: `region` is neither a region nor the text of one.
+        InputError: `region` is neither a region nor the text of one, or a file states another coordinate system than
+            that of the reference.
     """
+    if reference.crs is not None and (file := region_file(region)) is not None:
+        _check_system(file, reference.crs)
     if isinstance(region, str):
         return parse_region(region, reference)
     if not isinstance(region, Region):
@@ -82,6 +86,20 @@ def as_region(region: Region | str, reference: Cloud) -> Region | None:
             f" {type(region).__name__}"
         )
     return region
+
+
+def _check_system(file: Path, crs: str) -> None:
+    """Raise InputError if a file of polygons states another horizontal coordinate system than that of the cloud."""
+    try:
+        stated = stated_epsg(file)
+    except (InputError, OSError):  # its reader says so
+        return
+    codes = None if stated is None else epsg_codes(crs)
+    if codes is not None and codes.horizontal != stated:
+        raise InputError(
+            f"{file}: expected a polygon in EPSG:{codes.horizontal} as the cloud, got EPSG:{stated}: transform it with"
+            f" ogr2ogr -t_srs EPSG:{codes.horizontal}, or in a GIS"
+        )
 
 
 def region_file(region: Region | str) -> Path | None:

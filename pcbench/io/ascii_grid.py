@@ -7,17 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Look, Warn
 from pcbench.io.height_grids import ElevationGrid
+from pcbench.io.las_crs import WKT, read_crs
+from pcbench.io.nodata import is_stated_nodata
+from pcbench.io.text_layout import decode_table
+from pcbench.regular_files import is_regular_file, read_text
 
 _REQUIRED = ("ncols", "nrows")
-_KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value")
+_NO_DATA_KEY = "nodata_value"
+_KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", _NO_DATA_KEY)
 _NO_DATA = -9999.0  # the default of the format
-
-
 _LOOK_BYTES = 4096
+_MAX_SYSTEM_BYTES = 1 << 20
 
 
 def look_at_ascii_grid(path: Path) -> Look:
@@ -40,7 +44,7 @@ def read_ascii_grid_mesh(path: Path, warn: Warn) -> Mesh:
     lines = _lines(path.read_bytes())
     if not is_ascii_grid(lines):
         raise InputError("expected a mesh, got a table of points: it is a cloud")
-    return parse_ascii_grid(lines).mesh(warn)
+    return parse_ascii_grid(path, lines, warn).mesh(warn)
 
 
 def is_ascii_grid(lines: Sequence[str]) -> bool:
@@ -49,12 +53,22 @@ def is_ascii_grid(lines: Sequence[str]) -> bool:
     return first.split(maxsplit=1)[0].lower() in _REQUIRED if first else False
 
 
-def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
-    """Return the grid in the lines of a file.
+def parse_ascii_grid(path: Path, lines: Sequence[str], warn: Warn) -> ElevationGrid:
+    """Return the grid in the lines of a file, in the coordinate system of a .prj file beside it if it states one.
+
+    Cells have no data if they are NaN or, up to the digits of the text, the value that the header states.
+
+    Args:
+        path: the file.
+        lines: the lines; commas in them are decimal points.
+        warn: callback for warnings.
 
     Raises:
         InputError: the header is incomplete, or the number of values is not that of the cells.
     """
+    if any("," in line for line in lines):
+        warn("commas are read as decimal points")
+        lines = [line.replace(",", ".") for line in lines]
     header: dict[str, float] = {}
     first = 0
     for first, line in enumerate(lines):
@@ -82,12 +96,28 @@ def parse_ascii_grid(lines: Sequence[str]) -> ElevationGrid:
         + step * np.arange(count, dtype=np.float64)
         for axis, step, count in zip("xy", steps, (columns, rows), strict=True)
     )
-    z[z == header.get("nodata_value", _NO_DATA)] = np.nan
-    return ElevationGrid(x, y[::-1], z.reshape(rows, columns))
+    z[is_stated_nodata(z, header.get(_NO_DATA_KEY, _NO_DATA))] = np.nan
+    return ElevationGrid(x, y[::-1], z.reshape(rows, columns), *_read_system(path, warn))
+
+
+def _read_system(path: Path, warn: Warn) -> tuple[str | None, str | None]:
+    """Return the coordinate reference system in the .prj file beside a grid, and its unit; None if there is none."""
+    beside = next((file for end in (".prj", ".PRJ") if is_regular_file(file := path.with_suffix(end))), None)
+    if beside is None:
+        return None, None
+    try:
+        text = read_text(beside, _MAX_SYSTEM_BYTES).strip()
+    except (InputError, OSError) as error:
+        warn(f"left out the coordinate reference system in {beside.name}: {reason_of(error)}")
+        return None, None
+    if not text.endswith("]"):
+        warn(f"left out the coordinate reference system in {beside.name}, which is no WKT")
+        return None, None
+    return read_crs({WKT: text.encode()}, warn)
 
 
 def _lines(data: bytes) -> list[str]:
-    return data.rstrip(b"\0\x1a").decode("utf-8-sig", errors="replace").splitlines()
+    return decode_table(data).rstrip("\0\x1a").splitlines()
 
 
 def _number(word: str, key: str, index: int) -> float:
@@ -95,6 +125,6 @@ def _number(word: str, key: str, index: int) -> float:
         value = float(word)
     except ValueError:
         value = np.nan
-    if not abs(value) < 1e18:
+    if not abs(value) < 1e18 and (key.lower() != _NO_DATA_KEY or not word):
         raise InputError(f"line {index + 1}: expected {key} and a number, got {word[:40]!r}: export the grid again")
     return value

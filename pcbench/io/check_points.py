@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
-from pcbench.io.text_layout import NUMBER, is_units_row
+from pcbench.io.text_layout import NUMBER, decode_table, is_units_row
 from pcbench.regular_files import read_bytes
 
 _NAMES = {  # of columns, in lower case, without unit
@@ -43,7 +43,7 @@ _MAX_POINTS = 20_000  # each keeps 256 points of the cloud
 _WITHOUT_HEADER = {3: ("x", "y", "z"), 4: ("name", "x", "y", "z")}
 _COMMENTS = ("#", "//", "%")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-_UNIT = re.compile(r"[\[(].*[\])]$")  # of a column's name, as in "x [m]"
+_UNIT = re.compile(r"[\[(][^\[(]*[\])]$")  # of a column's name, as in "x [m]"
 EXPECTED = "a header line that names the columns (name, x, y, z), or lines of `name x y z` or `x y z` without one"
 
 
@@ -91,32 +91,22 @@ def read_check_points(path: str | Path) -> CheckPoints:
     are decimal points unless they delimit the columns. A row of units below the header is skipped.
 
     Args:
-        path: the file, in UTF-8 or in the Windows code page 1252.
+        path: the file, in an encoding of `decode_table`.
 
     Raises:
         InputError: the file has another form. The message starts with the path, and names the line and what to do.
     """
     path = Path(path)
     try:
-        text = _decoded(read_bytes(path))
+        text = decode_table(read_bytes(path))
+        if "\0" in text:
+            raise InputError("expected a text file, got a binary file: export the points as CSV")
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read the check points: {reason_of(error)}") from error
     try:
         return _parse(path, text.splitlines())
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def _decoded(data: bytes) -> str:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", errors="replace")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", errors="replace")  # spreadsheets on Windows
-    if "\0" in text:
-        raise InputError("expected a text file, got a binary file: export the points as CSV")
-    return text
 
 
 def _parse(path: Path, lines: Sequence[str]) -> CheckPoints:

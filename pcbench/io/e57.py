@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.io.files import Fields, Warn
-from pcbench.io.names import COLORS, NORMALS, XYZ, Columns, standard_names, take_fields
+from pcbench.io.names import COLORS, NORMALS, XYZ, Columns, scale_colors, standard_names, take_fields
 from pcbench.regular_files import read_json
 from pcbench.scratch import scratch_folder
 
@@ -27,7 +27,8 @@ _MIN_SPEED = 1e6  # bytes per second; libE57Format reads tens of millions
 def read_e57(path: Path, warn: Warn) -> Fields:
     """Read all scans of an E57 file into one frame with their poses, in metres.
 
-    Points that the file marks as invalid are dropped. If there are several scans, the attribute `scan` is the index of
+    Points that the file marks as invalid are dropped. Colours are scaled by the limits that a scan states, or else by
+    `names.scale_colors`. If there are several scans, the attribute `scan` is the index of
     each point's scan, from 0. Intensity, times and all other fields that every scan has are attributes too; fields that
     some scans lack are left out.
 
@@ -123,9 +124,10 @@ def _fields(
     def column(name: str) -> NDArray[np.float64]:
         return np.concatenate([np.fromfile(folder / f"{k}.{name}", np.float64) for k, _ in scans])
 
-    columns: Columns = {}
-    for name, field in zip(standard_names(everywhere, taken=XYZ), everywhere, strict=True):
-        columns[name] = column(field).astype(np.uint8 if name in COLORS else np.float64, copy=False)
+    names = standard_names(everywhere, taken=XYZ)
+    columns: Columns = {name: column(field) for name, field in zip(names, everywhere, strict=True)}
+    if columns.keys() >= set(COLORS):
+        _scale_colors(columns, [scan for _, scan in scans])
     normals, colors, attributes = take_fields(columns, warn)
     if len(scans) > 1:
         attributes["scan"] = np.repeat([k for k, _ in scans], [scan["points"] for _, scan in scans]).astype(np.int32)
@@ -137,3 +139,20 @@ def _fields(
         crs=crs.strip() or None,
         unit="m",
     )
+
+
+def _scale_colors(columns: Columns, scans: Sequence[dict[str, Any]]) -> None:
+    """Turn the colours of scans that state no limits into 8-bit ones by their values, as of other formats, in place.
+
+    If those of a scan fit no scale, all stay as they are.
+    """
+    types = np.repeat([scan["color_type"] for scan in scans], [scan["points"] for scan in scans])
+    scaled = {name: columns[name].copy() for name in COLORS}
+    for kind in set(types) - {"u1"}:
+        chosen = types == kind
+        colors = scale_colors([columns[name][chosen].astype(kind) for name in COLORS])
+        if colors is None:
+            return
+        for name, channel in zip(COLORS, colors.T, strict=True):
+            scaled[name][chosen] = channel
+    columns |= {name: channel.astype(np.uint8) for name, channel in scaled.items()}

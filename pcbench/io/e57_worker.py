@@ -5,8 +5,9 @@ read.
 
 libE57Format, which pye57 wraps, may crash or hang on damaged files. The parent limits the time and memory of this
 process, and reports the file. The script does not import pcbench. It writes to the folder `scans.json` (points, dropped
-points and fields of each scan) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are in the
-file's coordinates: the pose of the scan is applied. Exit status: 0, 3 if pye57 does not load, 4 if the disk is full,
+points, fields and type of colours of each scan) and the columns of scan k as raw float64: `k.points` and `k.FIELD`.
+Points are in the file's coordinates: the pose of the scan is applied. Colours of a scan that states their limits are
+from 0 to 255 (type "u1"), others are as stored. Exit status: 0, 3 if pye57 does not load, 4 if the disk is full,
 or 1 with a reason on standard error.
 """
 
@@ -46,6 +47,8 @@ def main(source: str, folder: str, wanted: str = "all") -> None:
 
 def _describe(libe57: Any, scan: Any) -> dict[str, Any]:
     """Return the point count of a scan, including points that are marked as invalid, and its fields."""
+    if not scan.isDefined("points"):
+        return {"points": 0, "fields": []}
     points = scan["points"]
     names = _names(libe57.StructureNode(points.prototype()))
     has_points = any(set(axes) <= set(names) for axes in (_CARTESIAN, _SPHERICAL))
@@ -60,13 +63,13 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
     """Write the columns of one scan; return its point count, the number of dropped points, and its fields."""
     import numpy as np
 
+    if not scan.isDefined("points"):
+        return {"points": 0, "dropped": 0, "fields": []}
     points = scan["points"]
     prototype = libe57.StructureNode(points.prototype())
     names = _names(prototype)
     axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= set(names)), None)
-    if axes is None:
-        return {"points": 0, "dropped": 0, "fields": []}
-    if not points.childCount():  # libE57Format refuses to read such a scan
+    if axes is None or not points.childCount():  # libE57Format refuses to read a scan without points
         return {"points": 0, "dropped": 0, "fields": []}
     turn, shift = _pose(scan)
     state = _STATES[axes is _SPHERICAL]
@@ -76,7 +79,8 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
     buffers = libe57.VectorSourceDestBuffer()
     for name, column in columns.items():
         buffers.append(libe57.SourceDestBuffer(file, name, column, _RECORDS, True, True))
-    colors = _scaled_colors(scan, prototype, libe57) if set(_COLORS) <= set(names) else {}
+    has_colors = set(_COLORS) <= set(names)
+    limits = _color_limits(scan) if has_colors else {}
     kept = dropped = 0
     reader = points.reader(buffers)
     outputs = {name: open(f"{stem}.{name.replace(':', '_')}", "wb") for name in ("points", *others)}  # noqa: PTH123, SIM115
@@ -94,7 +98,7 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
             if set(normals) <= set(part):
                 turned = np.stack([part[axis] for axis in normals], axis=1) @ turn.T
                 part |= dict(zip(normals, turned.T, strict=True))
-        for name, (low, high) in colors.items():
+        for name, (low, high) in limits.items():
             part[name] = np.clip(np.rint((part[name] - low) * (255 / (high - low))), 0, 255)
         xyz.tofile(outputs["points"])
         for name in others:
@@ -106,7 +110,9 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
     stated = points.childCount()
     if kept + dropped != stated:
         sys.exit(f"truncated: got {kept + dropped} of {stated} points")
-    return {"points": kept, "dropped": dropped, "fields": [name.replace(":", "_") for name in others]}
+    color_type = "u1" if limits else _color_type(prototype, libe57) if has_colors else None
+    fields = [name.replace(":", "_") for name in others]
+    return {"points": kept, "dropped": dropped, "fields": fields, "color_type": color_type}
 
 
 def _pose(scan: Any) -> tuple[Any, Any]:
@@ -134,21 +140,25 @@ def _pose(scan: Any) -> tuple[Any, Any]:
     return turn, shift
 
 
-def _scaled_colors(scan: Any, prototype: Any, libe57: Any) -> dict[str, tuple[float, float]]:
-    """Return the minimum and maximum of each colour, to map to 0 and 255: from the scan's limits or the data type."""
+def _color_limits(scan: Any) -> dict[str, tuple[float, float]]:
+    """Return the minimum and maximum of each colour, to map to 0 and 255; empty if the scan states none."""
+    if not scan.isDefined("colorLimits"):
+        return {}
+    stated = scan["colorLimits"]
     limits = {}
     for name in _COLORS:
-        node = prototype.get(name)
-        low, high = 0.0, 255.0
-        if scan.isDefined("colorLimits") and scan["colorLimits"].isDefined(f"{name}Maximum"):
-            stated = scan["colorLimits"]
-            low, high = stated[f"{name}Minimum"].value(), stated[f"{name}Maximum"].value()
-        elif isinstance(node, libe57.ScaledIntegerNode):
-            low, high = node.scaledMinimum(), node.scaledMaximum()
-        elif isinstance(node, libe57.IntegerNode | libe57.FloatNode):
-            low, high = node.minimum(), node.maximum()
-        limits[name] = (float(low), float(high)) if high > low else (0.0, 255.0)
-    return limits
+        if not (stated.isDefined(f"{name}Minimum") and stated.isDefined(f"{name}Maximum")):
+            return {}
+        limits[name] = (float(stated[f"{name}Minimum"].value()), float(stated[f"{name}Maximum"].value()))
+    return limits if all(high > low for low, high in limits.values()) else {}
+
+
+def _color_type(prototype: Any, libe57: Any) -> str:
+    """Return the type of colours as stored: "u2" for whole numbers of at most 16 bits, "i8" for others, or "f8"."""
+    nodes = [prototype[name] for name in _COLORS]
+    if not all(isinstance(node, libe57.IntegerNode) for node in nodes):
+        return "f8"
+    return "u2" if all(node.minimum() >= 0 and node.maximum() < 1 << 16 for node in nodes) else "i8"
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypedDict
 
@@ -22,6 +23,7 @@ Warn = Callable[[str], None]
 MAX_PADDING = 1 << 16
 """Largest number of bytes after the last record of a file that may be padding."""
 _PADDING = b"\0 \t\r\n\x1a"
+_LOOK_BYTES = 1 << 12
 
 
 class Fields(TypedDict, total=False):
@@ -141,6 +143,19 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
     file.seek(start)
     got = file.readinto(rest.data)  # type: ignore[attr-defined]
     return rest[:got]
+
+
+def with_line_feeds(file: BinaryIO, most: int) -> BinaryIO:
+    """Return a file at its start, or its first `most` bytes with line feeds for the carriage returns of old Macs.
+
+    Only the first line is looked at. Positions in both are the same.
+    """
+    start = file.read(_LOOK_BYTES)
+    file.seek(0)
+    first = start.find(b"\r")
+    if first < 0 or b"\n" in start[: first + 2]:
+        return file
+    return BytesIO(file.read(most).replace(b"\r", b"\n"))
 
 
 def check_end(rest: bytes, size: int, record_bytes: int, last: str, warn: Warn) -> None:

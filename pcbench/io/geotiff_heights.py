@@ -26,11 +26,12 @@ from pcbench.io import tifffile_child
 from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.height_grids import MAX_CELLS, ElevationGrid
 from pcbench.io.las_crs import GEO_DOUBLES, GEO_KEYS, WKT, read_crs
+from pcbench.io.nodata import is_stated_nodata
 from pcbench.scratch import scratch_folder
 
 _RASTER_TYPE, _PIXEL_IS_POINT = 1025, 2
 _ESRI_WKT = re.compile(r"ESRI PE String = ([^|]*)")  # where a system has no EPSG code
-_ITEM = re.compile(r'<Item[^>]*role="(unittype|scale|offset)"[^>]*>([^<]*)</Item>')  # of GDAL's metadata
+_ITEM = re.compile(r'<Item[^<>]*role="(unittype|scale|offset)"[^<>]*>([^<]*)</Item>')  # of GDAL's metadata
 
 
 def look_at_geotiff(path: Path) -> Look:
@@ -63,8 +64,7 @@ def _read_grid(path: Path, warn: Warn) -> ElevationGrid:
         no_data = float(str(tags.get("no_data", "nan")).strip("\0 "))
     except ValueError:
         no_data = np.nan
-    heights[heights == no_data] = np.nan
-    heights[heights == np.float32(no_data)] = np.nan  # as text, -3.4028235e+38 is another number
+    heights[is_stated_nodata(heights, no_data)] = np.nan
     items = dict(_ITEM.findall(str(tags.get("metadata", ""))))
     heights = heights * _number(items.get("scale"), 1) + _number(items.get("offset"), 0)
     crs, unit = _system(tags, items.get("unittype"), warn)

@@ -87,7 +87,9 @@ def read_gltf_vertices(path: Path, warn: Warn) -> Fields:
                     parts.append(_part(content, buffers, primitive, matrix))
                 left -= parts[-1].points.nbytes
                 if left < 0:
-                    raise InputError("expected fewer repeated parts, got more points than the file can hold")
+                    raise InputError(
+                        "expected fewer repeated parts, got more points than the file can hold: export it again"
+                    )
     if not parts:
         raise InputError("expected points or a mesh in the scene, got none: export what the scene shows")
     if (others := len(_modes(content)) - sum(mode in wanted for mode in _modes(content))) and _POINTS in wanted:
@@ -242,7 +244,9 @@ def _array(content: Any, buffers: list[bytes], number: Any, widths: tuple[int, .
     dtype, width = _TYPES.get(_whole(accessor, "componentType")), _WIDTHS.get(str(accessor.get("type")))
     if dtype is None or width not in widths:
         got = f"{accessor.get('type')} of {accessor.get('componentType')}"[:60]
-        raise InputError(f"expected arrays of vectors with {' or '.join(map(str, widths))} numbers, got {got}")
+        raise InputError(
+            f"expected arrays of vectors with {' or '.join(map(str, widths))} numbers, got {got}: export again"
+        )
     assert width is not None
     row = np.dtype((dtype, (width,)))
     count, stride = _whole(accessor, "count"), _whole(view, "byteStride", default=0) or row.itemsize

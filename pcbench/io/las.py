@@ -58,6 +58,8 @@ _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "gps_time": np.dtype("f8"),
     "point_source_id": np.dtype("u2"),
 }
+_STANDARD_TIME, _HAS_WKT = 1, 16  # bits of the global encoding
+_SECONDS_PER_WEEK = 604_800
 _EXTRA_NORMALS = ("NormalX", "NormalY", "NormalZ")
 # Names that LAS readers use for dimensions of points; extra bytes must not have them.
 _RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
@@ -237,7 +239,7 @@ def write_las(path: Path, cloud: Cloud, warn: Warn) -> None:
     )
     by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
-        b"LASF", 0, 16 if WKT in vlrs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
+        b"LASF", 0, _global_encoding(records["gps_time"], WKT in vlrs), b"", 1, 4, b"pcbench", b"pcbench", 0, 0,
         HEADER.size + HEADER_1_4.size, HEADER.size + HEADER_1_4.size + len(block), len(vlrs),
         point_format | (128 if compressed else 0), layout.itemsize, 0, 0, 0, 0, 0, 0,
         *steps, *offsets, *corners.reshape(-1).tolist(),
@@ -248,6 +250,15 @@ def write_las(path: Path, cloud: Cloud, warn: Warn) -> None:
     with atomic_write(path) as file:
         file.write(head + block)
         file.write(points)
+
+
+def _global_encoding(times: NDArray[Any], has_wkt: bool) -> int:
+    """Return the bits of the header that say what GPS times (N,) are, and that the system is given as WKT.
+
+    Times within a week may be seconds of the week; others can only be adjusted standard GPS time.
+    """
+    is_week = bool((np.nan_to_num(times) >= 0).all() and (np.nan_to_num(times) <= _SECONDS_PER_WEEK).all())
+    return (0 if is_week else _STANDARD_TIME) | (_HAS_WKT if has_wkt else 0)
 
 
 def _assign_attributes(cloud: Cloud, warn: Warn) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:

@@ -8,7 +8,8 @@ Writers rename attributes with `stored_attributes`.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,10 +28,11 @@ PACKED_COLORS = ("rgb", "rgba")  # alpha, red, green and blue in the four bytes 
 
 # Other names, in lower case. Coordinates may have names of different kinds.
 _COORDINATES = {
-    "x": ("easting", "east", "e", "point_x", "x_coord", "coord_x", "x_coordinate"),
-    "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate"),
+    "x": ("easting", "east", "e", "point_x", "x_coord", "coord_x", "x_coordinate", "rechtswert", "ostwert"),
+    "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate", "hochwert", "nordwert"),
     "z": ("elevation", "height", "altitude", "elev", "alt", "h", "point_z", "z_coord", "coord_z", "z_coordinate"),
 }
+_COORDINATES["z"] += ("höhe", "hoehe", "höjd", "hojd")
 _COORDINATES = {
     axis: (
         *names,
@@ -73,6 +75,7 @@ _ATTRIBUTE_NAMES = {alias: name for name, others in _ATTRIBUTES.items() for alia
 _ATTRIBUTE_NAMES |= {_SCALAR_PREFIX + alias: name for alias, name in _ATTRIBUTE_NAMES.items()}
 
 _MIN_16_BIT_COLOR = 1 << 12  # lower maxima of a type of more than 16 bits are no colours of 16 bits
+_MAX_OVERSHOOT = 0.1  # of colours from 0 to 1
 _MAX_NORMAL_LENGTH_ERROR = 0.02  # since normals are often written with two digits
 
 
@@ -113,6 +116,27 @@ def standard_names(names: Sequence[str], taken: Collection[str] = ()) -> list[st
     return [renamed.get(column, name) for column, name in enumerate(names)]
 
 
+def repeated_name(names: Iterable[str]) -> str | None:
+    """Return the first name that occurs again; None if there is none."""
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
+def other_coordinates(names: Sequence[str]) -> list[str]:
+    """Return the columns that could also be x, y and z, beside those that `standard_names` chooses; [] unless all are.
+
+    Args:
+        names: names of the columns, which are unique and have x, y and z among them.
+    """
+    standard = standard_names(names)
+    plain = [name.lower().replace(" ", "_").replace(":", "_") for name in names]
+    others = [
+        next((names[k] for k, alias in enumerate(plain) if alias in (axis, *aliases) and standard[k] != axis), None)
+        for axis, aliases in _COORDINATES.items()
+    ]
+    found = [name for name in others if name is not None]
+    return found if len(found) == len(XYZ) else []
+
+
 class PointFields(NamedTuple):
     """Normals (N, 3), colours (N, 3) and attributes (N,) of points; None if there are none."""
 
@@ -143,13 +167,17 @@ def scale_colors(channels: Sequence[NDArray[Any]]) -> NDArray[np.uint8] | None:
     """Return red, green and blue (N,) as 8-bit colours (N, 3), or None if they fit no scale.
 
     Numbers up to 255 are 8-bit colours, and fractions are rounded. Floats that are all from 0 to 1 are multiplied by
-    255. Larger whole numbers up to 65535 lose their lower byte, as in LAS.
+    255; some may lie up to a tenth beyond, as interpolated colours do, and are clipped. Larger whole numbers up to
+    65535 lose their lower byte, as in LAS.
     """
     low, high = (float(best([best(channel) for channel in channels])) for best in (np.min, np.max))
     dtypes = {channel.dtype for channel in channels}
+    is_float = any(dtype.kind == "f" for dtype in dtypes)
+    if is_float and (low < 0 or high > 1) and low >= -_MAX_OVERSHOOT and high <= 1 + _MAX_OVERSHOOT:
+        channels = [channel.clip(0, 1) for channel in channels]
+        low, high = 0, 1
     if not (low >= 0 and high <= 65535):  # NaN too
         return None
-    is_float = any(dtype.kind == "f" for dtype in dtypes)
     colors = np.empty((len(channels[0]), 3), np.uint8)
     if high <= 255:
         for color, channel in zip(colors.T, channels, strict=True):
@@ -247,7 +275,7 @@ def _take_colors(columns: Columns, warn: Warn) -> NDArray[np.uint8] | None:
     bits = np.ascontiguousarray(columns.pop(packed))
     if _are_whole_colors(bits):
         warn(f"{packed} is declared as float, but its values are whole numbers: they are read as packed colours")
-        bits = bits.astype(np.uint32)
+        bits = np.nan_to_num(bits).astype(np.uint32)
     bits = bits.astype(bits.dtype.newbyteorder("="), copy=False).view(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
 
@@ -255,13 +283,11 @@ def _take_colors(columns: Columns, warn: Warn) -> NDArray[np.uint8] | None:
 def _are_whole_colors(values: NDArray[Any]) -> bool:
     """Return whether floats are packed colours by their value, as some programs write, not by their four bytes.
 
-    The bytes of 24-bit colours are floats below 1e-37.
+    The bytes of 24-bit colours are floats below 1e-37. NaN is black.
     """
-    return bool(
-        values.dtype.kind == "f"
-        and ((values >= 0) & (values < 1 << 24) & (values == np.floor(values))).all()
-        and values.max() >= 1
-    )
+    if values.dtype.kind != "f" or not (stated := values[~np.isnan(values)]).size:
+        return False
+    return bool(((stated >= 0) & (stated < 1 << 24) & (stated == np.floor(stated))).all() and stated.max() >= 1)
 
 
 def _is_packed(dtype: np.dtype[Any]) -> bool:

@@ -24,6 +24,8 @@ _KNOWN_VALUES = (  # as programs for rasters, point clouds and depth maps write 
     *(sign * float(np.finfo(np.float32).max) for sign in (-1, 1)),
 )
 _SAME = 1e-7  # relative difference of values that are the same: float32, and LAS integers times a scale, are rounded
+_LARGEST = float(np.finfo(np.float64).max)
+_SAME_ABSURD = 1e-5  # likewise of values that are no coordinates, in texts of six digits
 MIN_ABSURD = 1e15
 """Smallest value that is no coordinate in metres, feet or millimetres."""
 _SAMPLE_POINTS = 500  # per piece, from which the range of the other points is estimated
@@ -270,6 +272,17 @@ class _Others:
 
     def _range(self, axis: int) -> float:
         return float(self.high[axis]) - float(self.low[axis])
+
+
+def is_stated_nodata(values: FloatArray, stated: float) -> NDArray[np.bool_]:
+    """Return which values of a grid are the finite number that it states for missing data.
+
+    They may be float32, and their text may have fewer digits than that number, as -3.40282e+38 has.
+    """
+    digits = _SAME_ABSURD if abs(stated) >= MIN_ABSURD else _SAME
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_missing: NDArray[np.bool_] = np.abs(values - stated) <= digits * min(abs(stated), _LARGEST)
+    return is_missing
 
 
 def _is_same(values: Any, value: float) -> Any:

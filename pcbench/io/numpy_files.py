@@ -1,4 +1,4 @@
-"""Read and write NumPy files: .npy with points (N, 3), (N, 4) or (N, 6); .npz with named arrays.
+"""Read and write NumPy files: .npy with points (N, 3), (N, 4) or (N, 6), or with named fields; .npz with named arrays.
 
 numpy parses only the array header. The size in the header is compared with the file size before memory is allocated.
 Only numbers and texts are read, never pickles.
@@ -26,11 +26,14 @@ from pcbench.io.names import (
     COLORS,
     NORMALS,
     XYZ,
+    Columns,
     are_colors,
     left_out_warning,
     scale_colors,
     standard_names,
     stored_attributes,
+    take_fields,
+    take_points,
 )
 from pcbench.scratch import atomic_write
 
@@ -77,6 +80,8 @@ def read_npy(path: Path, warn: Warn) -> Fields:
     """Read points (N, 3), with intensity (N, 4), or with normals or colours (N, 6), of any float or integer type.
 
     The last three of six columns are colours if most have no unit length and they fit a scale of `names.scale_colors`.
+    An array (N,) may have named fields of these types, as PDAL's have: x, y, z and others with the names of
+    `names.standard_names`.
 
     Raises:
         InputError: the file is not a complete array of that shape.
@@ -87,7 +92,10 @@ def read_npy(path: Path, warn: Warn) -> Fields:
         header = _read_header(file)
         _check_points(header)
         _check_size(header, size)
-        return _points_fields(_read_data(file, header, size, "the array", warn))
+        array = _read_data(file, header, size, "the array", warn)
+        if array.dtype.names:
+            return _fields_of({name: _plain(array[name]) for name in array.dtype.names}, warn)
+        return _points_fields(array)
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
@@ -95,7 +103,7 @@ def read_npz(path: Path, warn: Warn) -> Fields:
 
     Colours may have any scale of `names.scale_colors`, and the arrays other usual names, such as `xyz` and `rgb`.
     `crs` and `unit` are texts. In an archive with one array, that array is the points, whatever its name. Arrays of
-    other shapes are left out with a warning.
+    other shapes are left out with a warning. Instead of points, an archive may have arrays x, y and z (N,).
 
     Raises:
         InputError: the archive is damaged, contains no points, or would decompress to an implausible size.
@@ -126,6 +134,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
         if name not in members and (similar := next((other for other in others if other in members), None)):
             members[name] = members.pop(similar)
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
+    if key not in members and set(XYZ) <= set(standard_names(list(members))):
+        return _read_columns(archive, members, warn) | Fields(crs=texts.get("crs"), unit=texts.get("unit"))
     if key not in members:
         raise InputError(f"expected an array 'points', got {_list_names(members)}: save the points under that name")
 
@@ -155,6 +165,33 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     fields["crs"] = texts.get("crs")
     fields["unit"] = texts.get("unit")
     return fields
+
+
+def _read_columns(archive: ZipFile, members: dict[str, ZipInfo], warn: Warn) -> Fields:
+    """Read an archive of columns (N,)."""
+    columns: Columns = {}
+    for name, info in members.items():
+        header = _member_header(archive, info, name)
+        if len(header.shape) != 1:
+            raise InputError(f"expected arrays of shape (N,) beside x, y, z, got {name[:40]!r} of another: remove it")
+        with archive.open(info) as file:
+            file.read(header.header_bytes)
+            columns[name] = _read_data(file, header, info.file_size, f"array {name[:40]!r}", warn)
+    if len({len(column) for column in columns.values()}) > 1:
+        lengths = ", ".join(f"{len(column)} of {name[:40]!r}" for name, column in list(columns.items())[:6])
+        raise InputError(f"expected arrays of one length, got {lengths}: save one value per point")
+    return _fields_of(columns, warn)
+
+
+def _fields_of(columns: Columns, warn: Warn) -> Fields:
+    """Return the fields of a cloud from columns (N,) with any of the usual names."""
+    named = dict(zip(standard_names(list(columns)), columns.values(), strict=True))
+    if not len(named["x"]):
+        raise InputError("expected at least one point, got 0: save a cloud with points")
+    with np.errstate(invalid="ignore", over="ignore"):
+        points = take_points(named)
+        normals, colors, attributes = take_fields(named, warn)
+    return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
 
 
 def _scaled(colors: NDArray[Any]) -> NDArray[np.uint8]:
@@ -197,6 +234,8 @@ def _member_header(archive: ZipFile, info: ZipInfo, name: str) -> _Header:
             _check_size(header, info.file_size)
         except InputError as error:
             raise InputError(f"array {name[:40]!r}: {error}") from error
+        if header.dtype.names:
+            raise InputError(f"array {name[:40]!r}: expected plain numbers, got named fields: save it as .npy")
         return header
 
 
@@ -214,6 +253,13 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str, warn: Warn) -> str | 
 
 
 def _check_points(header: _Header) -> None:
+    if header.dtype.names:
+        if len(header.shape) != 1 or not set(XYZ) <= set(standard_names(header.dtype.names)):
+            raise InputError(
+                f"expected fields x, y, z in an array of shape (N,), got {', '.join(header.dtype.names)[:80]} in"
+                f" {header.shape}: name the coordinates"
+            )
+        return
     if len(header.shape) != 2 or header.shape[1] not in (3, 4, 6):
         raise InputError(
             f"expected points of shape (N, 3), (N, 4) with intensity or (N, 6) with normals; got {header.shape}:"
@@ -257,9 +303,11 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
         got = head.getvalue()[:70]
         raise InputError(f"expected an array of numbers as numpy.save writes it, got {got!r}: save it again") from error
     if dtype.names:
-        listed = ", ".join(dtype.names)[:80]
-        raise InputError(f"expected a plain array of numbers, got one with the fields {listed}: save it as (N, 3)")
-    if dtype.kind not in kinds:
+        types = [dtype[name] for name in dtype.names]
+        if kinds == "U" or not all(each.kind in kinds and each.shape == () for each in types):
+            listed = ", ".join(dtype.names)[:80]
+            raise InputError(f"expected fields of plain numbers, got {listed}: save the points as (N, 3)")
+    elif dtype.kind not in kinds:
         raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")
     file.seek(head.tell())
     return _Header(dtype, fortran_order, shape, head.tell())
@@ -274,11 +322,18 @@ def _read_data(file: IO[bytes], header: _Header, size: int, what: str, warn: War
     if len(data) < header.data_bytes:
         raise InputError(f"truncated: got {len(data)} of {header.data_bytes} bytes: copy or export the file again")
     check_end(rest, size - header.header_bytes - header.data_bytes, header.row_bytes, what, warn)
+    # Bytes other than 0 and 1 are not valid bools.
     values = np.frombuffer(data, np.uint8 if header.dtype.kind == "b" else header.dtype)
     values = values.reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
-        values = values != 0  # bytes other than 0 and 1 are not valid bools
+        values = values != 0
     return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
+
+
+def _plain(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a field (N,) of an array of records as a separate array."""
+    plain = np.ascontiguousarray(column)
+    return plain.view(np.uint8) != 0 if plain.dtype.kind == "b" else plain
 
 
 def write_npy(path: Path, cloud: Cloud, warn: Warn) -> None:

@@ -24,7 +24,7 @@ _CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
 _KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
 
 _SURFACES = (b"f", b"fo", *_CURVED)
-_SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
+_SURFACE = re.compile(rb"(?:^|\r)[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
 
 
 def look_at_obj(path: Path) -> Look:
@@ -68,7 +68,9 @@ def _vertices(data: bytes, warn: Warn) -> Fields:
                 raise ValueError
             rows[words[0]].append([float(word) for word in words[1:]])
         except ValueError:
-            raise InputError(f"line {number}: expected '{words[0].decode()} x y z', got {excerpt(line)}") from None
+            raise InputError(
+                f"line {number}: expected '{words[0].decode()} x y z', got {excerpt(line)}: export it again"
+            ) from None
     vertices, normals = rows[b"v"], rows[b"vn"]
     if not vertices:
         raise InputError("expected at least one line 'v x y z', got none: export the file again")
@@ -88,7 +90,7 @@ def _vertices(data: bytes, warn: Warn) -> Fields:
 def _lines(data: bytes) -> list[bytes]:
     """Return the lines without a byte order mark, which would hide the first vertex; a backslash joins two."""
     data = data.removeprefix(b"\xef\xbb\xbf")
-    return data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    return re.sub(rb"\\(\r\n?|\n)", b" ", data).splitlines()
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:
@@ -125,7 +127,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
                 left_out += 1
         except (ValueError, OverflowError):
             expected = "'v x y z'" if words[0] == b"v" else f"'f a b c' with vertices 1 to {len(coordinates) // 3}"
-            raise InputError(f"line {number}: expected {expected}, got {excerpt(line)}") from None
+            raise InputError(f"line {number}: expected {expected}, got {excerpt(line)}: export it again") from None
     if left_out:
         warn(f"left out {left_out} point and line elements")
     if not lengths:

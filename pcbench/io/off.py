@@ -26,7 +26,8 @@ _HEADER = re.compile(rb"(?:ST)?(?:C?N?|NC)(4?)(n?)OFF(\d*)")
 def read_off(path: Path, warn: Warn) -> Mesh:
     """Read the word OFF, three counts, one line `x y z ...` per vertex and `3 a b c ...` per face; # starts a comment.
 
-    Vertices of 4OFF have a fourth coordinate, by which the others are divided.
+    Vertices of 4OFF have a fourth coordinate, by which the others are divided. The numbers of a plain OFF file may be
+    on any lines.
 
     Raises:
         InputError: the file is truncated, or its counts and lines do not match.
@@ -43,12 +44,16 @@ def read_off(path: Path, warn: Warn) -> Mesh:
         what = "vertices of other dimensions (nOFF)" if header[2] else "a binary one"
         raise InputError(f"expected an ascii OFF file of three-dimensional vertices, got {what}: export it as PLY")
     lines[0][:1] = [header[0][: header.start(3)], *filter(None, [header[3]])]
+    if lines[0][0] == b"OFF":
+        lines = _arranged(lines)
     counts = lines[0][1:] or (lines[1] if len(lines) > 1 else [])
     if len(counts) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in counts):
         raise InputError(
             f"expected counts of vertices, faces and edges, got {b' '.join(counts)[:40]!r}: export it again"
         )
     vertex_count, face_count = int(counts[0]), int(counts[1])
+    if not face_count:
+        raise InputError("expected a mesh with at least one face, got none: export it as a mesh, or points as PLY")
     body = lines[1 if lines[0][1:] else 2 :]
     if len(body) < vertex_count + face_count:
         what = f"{len(body)} of {vertex_count} vertices"
@@ -78,3 +83,27 @@ def read_off(path: Path, warn: Warn) -> Mesh:
             raise InputError(f"{what}: expected {expected}, got {got}: export it again") from None
     faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)
+
+
+def _arranged(lines: list[list[bytes]]) -> list[list[bytes]]:
+    """Return the words of a plain OFF file with the counts, and each vertex and face, on separate lines.
+
+    They stay where they are if there are enough lines, or words are missing or no numbers.
+    """
+    words = [word for line in lines for word in line]
+    counts = words[1:4]
+    if len(counts) < 3 or not all(word.isdigit() and len(word) < 19 for word in counts):
+        return lines
+    vertex_count, face_count, _ = map(int, counts)
+    own_line = len(lines[0][1:] or lines[1])
+    are_lines = own_line == 3 and len(lines) > vertex_count + face_count
+    if are_lines or own_line == 2 or len(words) < 4 + 3 * vertex_count + face_count:
+        return lines
+    arranged, start = [words[:4]], 4
+    for number in range(vertex_count + face_count):
+        if number >= vertex_count and not (start < len(words) and words[start].isdigit()):
+            return lines
+        length = 3 if number < vertex_count else 1 + int(words[start][:18])
+        arranged.append(words[start : start + length])
+        start += length
+    return [*arranged, *([words[start:]] if start < len(words) else [])]

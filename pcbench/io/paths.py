@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from pcbench.errors import InputError
-from pcbench.regular_files import read_bytes
+from pcbench.regular_files import decode_text, read_bytes
 
 VPC = ".vpc"
 EPT = "ept.json"
@@ -119,7 +119,7 @@ def natural_key(path: str | Path) -> tuple[list[tuple[int, str]], str]:
 def _index_files(path: Path) -> list[Path]:
     """Return the files that a virtual point cloud (`.vpc`) names: a GeoJSON collection of STAC items with assets."""
     try:
-        index = json.loads(read_bytes(path, _MAX_INDEX_BYTES).decode("utf-8-sig"))
+        index = json.loads(decode_text(read_bytes(path, _MAX_INDEX_BYTES)))
         hrefs = [asset["href"] for item in index["features"] for asset in item["assets"].values() if _is_data(asset)]
     except InputError:
         raise

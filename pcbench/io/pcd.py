@@ -19,12 +19,13 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.columns import as_integers, excerpt, packed_rows, parse_rows, plain_type
-from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, read_rest
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, read_rest, with_line_feeds
 from pcbench.io.names import (
     PACKED_COLORS,
     XYZ,
     Columns,
     left_out_warning,
+    repeated_name,
     standard_names,
     stored_attributes,
     take_fields,
@@ -33,6 +34,7 @@ from pcbench.io.names import (
 from pcbench.scratch import atomic_write
 
 _MAX_HEADER_BYTES = 1 << 20
+_MAX_VALUES = 10_000  # per point, each of which becomes an attribute; the longest descriptors of PCL have 1,980
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
@@ -87,7 +89,9 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
-        header = _read_header(file)
+        lines = with_line_feeds(file, _MAX_HEADER_BYTES + 1)
+        header = _read_header(lines)
+        file.seek(lines.tell())
         body = read_rest(file)
     header = _with_true_count(header, body, warn)
     if not _is_identity(header.viewpoint):
@@ -166,7 +170,9 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         if key == "COLUMNS":  # an old name
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
-            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}")
+            raise InputError(
+                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}: export again"
+            )
         if key in entries:
             raise InputError(f"header: expected one {key} line, got two: export the file again")
         entries[key] = words[1:]
@@ -191,7 +197,9 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
     if not count:
         raise InputError("expected at least one point, got POINTS 0: export the file again")
     if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA_KINDS:
-        raise InputError(f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}")
+        raise InputError(
+            f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}: export again"
+        )
     viewpoint = " ".join(entries.get("VIEWPOINT", [_IDENTITY]))
     return _PcdHeader(fields, count, area, entries["DATA"][0].lower(), viewpoint)
 
@@ -218,7 +226,7 @@ def _field(name: str, code: str, count: str) -> _Field:
 def _field_names(words: list[str]) -> list[str]:
     """Return the standard names of the fields; "_" is padding."""
     names = [word for word in words if word != "_"]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := repeated_name(names):
         raise InputError(f"header: expected unique field names, got {twice[:40]!r} twice: rename one of them")
     standard = iter(standard_names(names))
     return [word if word == "_" else next(standard) for word in words]
@@ -231,6 +239,8 @@ def _check_fields(fields: list[_Field]) -> None:
             f"expected fields x, y, z; missing: {', '.join(missing)} in {' '.join(names)[:100]}: export it with"
             " coordinates"
         )
+    if (values := sum(field.count for field in fields if field.name != "_")) > _MAX_VALUES:
+        raise InputError(f"header: expected at most {_MAX_VALUES} values per point, got {values}: leave out fields")
     for field in fields:
         if not field.count or (field.name in XYZ + PACKED_COLORS and field.count != 1):
             raise InputError(f"header: expected COUNT 1 for {field.name[:40]!r}, got {field.count}: export it again")

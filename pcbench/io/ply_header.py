@@ -14,8 +14,8 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.io.columns import excerpt
-from pcbench.io.files import errors_named
-from pcbench.io.names import XYZ, standard_names
+from pcbench.io.files import errors_named, with_line_feeds
+from pcbench.io.names import XYZ, repeated_name, standard_names
 
 _MAX_HEADER_BYTES = 1 << 20
 _MAX_COUNT_DIGITS = 18  # 10^18 rows are more than any file contains; products with row sizes are checked later
@@ -169,6 +169,12 @@ def read_header(file: BinaryIO) -> PlyHeader:
         InputError: the file does not start with a PLY header.
         OSError: the file cannot be read.
     """
+    header = _parse_header(with_line_feeds(file, _MAX_HEADER_BYTES + 1))
+    file.seek(header.nbytes)
+    return header
+
+
+def _parse_header(file: BinaryIO) -> PlyHeader:
     magic = file.readline(16)
     if magic.rstrip() != b"ply":
         if magic.startswith(b"LASF"):
@@ -201,7 +207,7 @@ def read_header(file: BinaryIO) -> PlyHeader:
                     comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
                 continue
             if not line.isascii() or not b" ".join(words).decode().isprintable():
-                raise InputError(f"expected ASCII text, got {excerpt(line)}")
+                raise InputError(f"expected ASCII text, got {excerpt(line)}: export it again")
             match [word.decode() for word in words]:
                 case []:
                     pass
@@ -211,17 +217,21 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 case ["format", *_] if formats:
                     raise InputError("expected one format line, got a second: export the file again")
                 case ["format", *_]:
-                    raise InputError(f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}")
+                    raise InputError(
+                        f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}: export again"
+                    )
                 case ["element", name, count]:
                     if name in elements:
-                        raise InputError(f"expected unique elements, got {name[:40]!r} twice")
+                        raise InputError(f"expected unique elements, got {name[:40]!r} twice: export it again")
                     elements[name] = current = Element(name, _count(count, name))
                 case ["property", *rest] if elements:
                     current.properties.append(_property(rest))
                 case ["property", *_]:
                     raise InputError("expected an element before the first property: export it again")
                 case _:
-                    raise InputError(f"expected format, element, property, comment or end_header, got {excerpt(line)}")
+                    raise InputError(
+                        f"expected format, element, property, comment or end_header, got {excerpt(line)}: export again"
+                    )
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
     if (vertex := elements.get("vertex")) is not None:
@@ -232,7 +242,9 @@ def read_header(file: BinaryIO) -> PlyHeader:
 
 def _count(word: str, element: str) -> int:
     if not word.isdigit():
-        raise InputError(f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}")
+        raise InputError(
+            f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}: export again"
+        )
     if len(word) > _MAX_COUNT_DIGITS:
         raise InputError(f"{word[:40]} of {element!r} are more than any file contains: export it again")
     return int(word)
@@ -243,24 +255,25 @@ def _property(words: list[str]) -> Property:
         case ["list", length, item, name]:
             counter = _type(length)
             if counter.kind == "f":
-                raise InputError(f"expected an integer type for the list length, got {length!r}")
+                raise InputError(f"expected an integer type for the list length, got {length!r}: export again")
             return Property(name, _type(item), counter)
         case [item, name] if item != "list":
             return Property(name, _type(item))
     raise InputError(
-        f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}"
+        f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}:"
+        " export again"
     )
 
 
 def _type(word: str) -> np.dtype[Any]:
     if word not in _TYPES:
-        raise InputError(f"expected a type of {', '.join(_TYPES)}; got {word[:40]!r}")
+        raise InputError(f"expected a type of {', '.join(_TYPES)}; got {word[:40]!r}: export it again")
     return np.dtype(_TYPES[word])
 
 
 def _with_standard_names(vertex: Element) -> Element:
     names = [prop.name for prop in vertex.properties]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := repeated_name(names):
         raise InputError(f"expected unique vertex properties, got {twice[:40]!r} twice: rename one of them")
     properties = [replace(prop, name=name) for prop, name in zip(vertex.properties, standard_names(names), strict=True)]
     return replace(vertex, properties=properties)

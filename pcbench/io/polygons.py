@@ -52,7 +52,9 @@ def triangulate(vertices: FloatArray, lengths: IntArray, corners: IntArray, warn
     """
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(vertices)):
         wrong = corners.min() if corners.min() < 0 else corners.max()
-        raise InputError(f"expected vertex indices from 0 to {len(vertices) - 1} in faces, got {wrong}")
+        raise InputError(
+            f"expected vertex indices from 0 to {len(vertices) - 1} in faces, got {wrong}: export it again"
+        )
     if small := int(np.count_nonzero(lengths < 3)):
         warn(f"left out {small} of {len(lengths)} faces with fewer than three corners")
     counts = np.maximum(lengths - 2, 0)
@@ -79,33 +81,32 @@ def _cut_ears(vertices: FloatArray, ring: IntArray, normal: FloatArray) -> IntAr
     """Triangulate a simple polygon with a normal (3,) by cutting off convex corners that hold no other corner."""
     axis = int(np.abs(normal).argmax())
     flat = np.delete(vertices[ring], axis, axis=1) * ((1, 1) if (normal[axis] > 0) == (axis != 1) else (-1, 1))
-    left, faces = list(range(len(ring))), []
+    left, faces, crosses = list(range(len(ring))), [], False
     while len(left) > 3:
-        best = None
-        for k, tip in enumerate(left):
-            before, after = left[k - 1], left[(k + 1) % len(left)]
-            corners = flat[[before, tip, after]]
-            others = [flat[i] for i in left if i not in (before, tip, after)]
-            if _turn(*corners) > 0 and not any(_is_inside(point, corners) for point in others):
+        best, points = None, flat[left]
+        for k, tip in enumerate(() if crosses else left):
+            corners = flat[[left[k - 1], tip, left[(k + 1) % len(left)]]]
+            if _turns(corners[0], corners[1], corners[2:])[0] > 0 and not _any_inside(points, corners):
                 best = k
                 break
-        k = 0 if best is None else best  # a polygon that crosses itself has no ear
+        crosses = best is None  # a polygon without an ear crosses itself
+        k = best or 0
         faces.append((left[k - 1], left[k], left[(k + 1) % len(left)]))
         del left[k]
     triangles: IntArray = ring[np.array([*faces, tuple(left)])]
     return triangles
 
 
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    """Return twice the signed area of a triangle in the plane; positive if anticlockwise."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+def _turns(a: FloatArray, b: FloatArray, points: FloatArray) -> FloatArray:
+    """Return twice the signed areas (N,) of the triangles of a, b and each point in the plane, positive to the left."""
+    turns: FloatArray = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
+    return turns
 
 
-def _is_inside(point: FloatArray, corners: FloatArray) -> bool:
-    """Return whether a point lies in an anticlockwise triangle (3, 2) or on its border, but is not a corner."""
-    if (corners == point).all(axis=1).any():
-        return False
-    return all(_turn(corners[k], corners[(k + 1) % 3], point) >= 0 for k in range(3))
+def _any_inside(points: FloatArray, corners: FloatArray) -> bool:
+    """Return whether a point (N, 2) lies in an anticlockwise triangle (3, 2) or on its border, but is not a corner."""
+    inside = np.logical_and.reduce([_turns(corners[k], corners[(k + 1) % 3], points) >= 0 for k in range(3)])
+    return any(not (corners == point).all(axis=1).any() for point in points[inside])
 
 
 def triangulate_strips(lengths: IntArray, corners: IntArray) -> IntArray:

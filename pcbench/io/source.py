@@ -43,6 +43,8 @@ from pcbench.io.pieces.types import CloudOnDisk
 from pcbench.io.reading import read_one, read_tiles
 from pcbench.regular_files import has_entry
 
+_MESHES_OF_FOLDERS = (".ply", ".obj", ".glb", ".gltf")  # grids of heights are also clouds
+
 
 @dataclass(frozen=True)
 class Source:
@@ -70,7 +72,7 @@ class Source:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], filters: LasFilters = NO_FILTERS, *, vertices: bool = False) -> Source:
-        """Find the files of a path; none of them is opened, except a `.vpc` index.
+        """Find the files of a path; only a `.vpc` index is read, and the headers of possible meshes in a folder.
 
         Args:
             path: the path.
@@ -89,6 +91,7 @@ class Source:
         with errors_named(file):
             if is_pattern(file) or (is_tiled(file) and not _stores_only_meshes(file)):
                 tiles = find_tiles(file, CLOUDS)
+                tiles = _without_meshes(tiles) if file.is_dir() else tiles
             else:
                 check_readable(file)
                 status = status_of(file)
@@ -272,16 +275,8 @@ class Source:
 
     @cached_property
     def _look(self) -> Look:
-        """The result of one look at the file; if it is damaged, its reader says so."""
-        form = MESHES.get(self.file.suffix.lower())
-        if self.tiles is not None or form is None:
-            return Look(holds_mesh=False)
-        if form.look is None:
-            return Look(holds_mesh=True)
-        try:
-            return form.look(self.file)
-        except (InputError, OSError):
-            return Look(holds_mesh=False)
+        """The result of one look at the file."""
+        return _look_at(self.file) if self.tiles is None else Look(holds_mesh=False)
 
     @property
     def _mesh_format(self) -> MeshFormat:
@@ -292,11 +287,36 @@ class Source:
         return MESHES[extension]
 
 
+def _without_meshes(tiles: TileFiles) -> TileFiles:
+    """Return the files of a folder without buffers of glTF, and without meshes if some are clouds."""
+    buffers = {buffer.resolve() for path in tiles.paths for buffer in external_files(path)}
+    paths = [path for path in tiles.paths if path.resolve() not in buffers] if buffers else list(tiles.paths)
+    meshes = [path for path in paths if path.suffix.lower() in _MESHES_OF_FOLDERS and _look_at(path).holds_mesh]
+    if not meshes or len(meshes) == len(paths):
+        return TileFiles(tuple(paths), tiles.warnings)
+    line = (
+        f"left out {len(meshes)} mesh{'es' * (len(meshes) > 1)} beside clouds, such as {meshes[0].name}: name a mesh"
+        " itself to read it"
+    )
+    return TileFiles(tuple(path for path in paths if path not in meshes), (*tiles.warnings, line))
+
+
+def _look_at(path: Path) -> Look:
+    """Return the result of one look at a file; if it is damaged, its reader says so."""
+    form = MESHES.get(path.suffix.lower())
+    if form is None or form.look is None:
+        return Look(holds_mesh=form is not None)
+    try:
+        return form.look(path)
+    except (InputError, OSError):
+        return Look(holds_mesh=False)
+
+
 def _stores_only_meshes(path: Path) -> bool:
     form = MESHES.get(path.suffix.lower())
     return form is not None and form.look is None
 
 
 def _reading_seconds(file: Path) -> float:
-    is_slow = file.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc", ".ptx")
+    is_slow = file.suffix.lower().startswith((".laz", ".txt", ".xyz", ".csv", ".pts", ".asc", ".ptx"))
     return 0.02 + file.stat().st_size / (20e6 if is_slow else 200e6)

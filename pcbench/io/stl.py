@@ -65,7 +65,7 @@ def _ascii_stl(data: bytes) -> FloatArray:
     data = data.rstrip(b"\0\x1a")
     if b"endsolid" not in data[-512:].lower():
         raise InputError("truncated: expected 'endsolid' at the end of an ascii STL file: copy or export it again")
-    words = re.sub(rb"(?im)^[ \t]*(end)?solid\b.*$", b"", data).split()
+    words = re.sub(rb"(?i)(?:\A|[\r\n])[ \t]*(end)?solid\b[^\r\n]*", b"\n", data).split()
     if not words:
         raise InputError("expected a mesh with at least one face, got an STL file without facets: export it again")
     if max(map(len, words)) > _MAX_WORD:

@@ -1,4 +1,4 @@
-"""Read and write text tables (.xyz, .txt, .asc, .csv, .pts), one point per line; detect delimiter, header, columns."""
+"""Read and write text tables (.xyz, .txt, .csv, ...), one point per line; detect delimiter, header, columns."""
 
 from __future__ import annotations
 
@@ -23,10 +23,20 @@ from pcbench.io.names import (
     take_points,
     unnamed_columns,
 )
-from pcbench.io.text_layout import NUMBER, TableLayout, content, excerpt, find_layout
+from pcbench.io.text_layout import NUMBER, TableLayout, content, decode_table, excerpt, find_layout
 from pcbench.scratch import atomic_write
 
 _ROWS_PER_WRITE = 1 << 16
+# Columns after x, y and z by the extension of the file and the number of columns: Leica's .pts, and Open3D's others.
+_EXTENSION_NAMES = {
+    (".pts", 4): ("intensity",),
+    (".pts", 7): ("intensity", *COLORS),
+    (".xyzi", 4): ("intensity",),
+    (".xyzn", 6): NORMALS,
+    (".xyzrgb", 6): COLORS,
+}
+_MAX_CLASS = 31  # of the first point formats of LAS; colours of a photograph are brighter
+_MAX_ROTATION_ERROR = 1e-3  # relative, of matrices with few digits
 _MIN_ID_ROWS = 3  # for a column that counts by one
 _MIN_SORTED_ROWS = 100  # for other columns that may be numbers of points
 
@@ -37,29 +47,36 @@ def read_text(path: Path, warn: Warn) -> Fields:
     A header (which may be a comment) names the columns, with the names of `names.standard_names`, in any order and with
     units ("X [m]"). Without a header the first three columns are x y z, and three others are colours or normals if
     their values allow nothing else (`names.unnamed_columns`). A first column of four or more that counts up or down by
-    one is an id, with a warning. In a .pts file, a fourth of four columns is intensity, and the last four of seven
-    columns are intensity and colours; each of several blocks with a count is a scan. Other columns are attributes
-    "column_4", "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and
-    `# unit TEXT` set the crs and unit.
+    one is an id, with a warning. The extensions .pts, .xyzi, .xyzn and .xyzrgb name the columns themselves
+    (`_EXTENSION_NAMES`). Each of several blocks with a count is a scan. Other columns are attributes "column_4",
+    "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and `# unit TEXT`
+    set the crs and unit. `decode_table` lists the encodings.
 
     Raises:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
         OSError: the file cannot be read.
     """
-    stored = path.read_bytes()
-    data = stored.rstrip(b"\0\x1a")
-    if b"\0" in data:
-        raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
-    check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
-    lines = data.decode("utf-8-sig", errors="replace").splitlines()
+    stored = decode_table(path.read_bytes())
+    text = stored.rstrip("\0\x1a")
+    if "\0" in text:
+        raise InputError("expected text, got NUL bytes (a binary file, or UTF-16 without a mark): save it as UTF-8")
+    surplus = stored[len(text) :]
+    check_end(surplus[:MAX_PADDING].encode(), len(surplus), 1, "the last line", warn)
+    lines = text.splitlines()
     if is_ascii_grid(lines):
-        return parse_ascii_grid(lines).points(warn)
+        return parse_ascii_grid(path, lines, warn).points(warn)
     layout = find_layout(lines)
     for line in layout.warnings:
         warn(line)
     table, scans = _read_blocks(lines, layout, warn)
-    names = _column_names(table, layout, path.suffix.lower() == ".pts", warn)
-    columns: Columns = dict(zip(names, table.T, strict=True))
+    if layout.names is None and (matrix := _matrix_kind(table)):
+        raise InputError(f"expected a point cloud, got {matrix}: name a cloud")
+    names = _column_names(table, layout, path.suffix.lower(), warn)
+    if layout.texts:
+        warn(f"left out columns of text: {', '.join(repr(names[k][:40]) for k in sorted(layout.texts))}")
+    columns: Columns = {
+        name: column for k, (name, column) in enumerate(zip(names, table.T, strict=True)) if k not in layout.texts
+    }
     points = take_points(columns)
     normals, colors, attributes = take_fields(columns, warn)
     attributes = {name: column.copy() for name, column in attributes.items()}
@@ -73,7 +90,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
 # ---- columns without names ----------------------------------------------------------------------------------------
 
 
-def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Warn) -> list[str]:
+def _column_names(table: FloatArray, layout: TableLayout, extension: str, warn: Warn) -> list[str]:
     """Return the names of the columns: those of the header, or names by number of columns and values."""
     width = table.shape[1]
     if layout.names is not None and len(layout.names) == width:
@@ -85,8 +102,8 @@ def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Wa
             )
         warn("the first column has no name and counts the lines: it is read as an id")
         return ["id" if "id" not in layout.names else "column_1", *layout.names]
-    if is_pts and width in (4, 7):
-        return [*XYZ, "intensity", *(COLORS if width == 7 else ())]
+    if (extension, width) in _EXTENSION_NAMES:
+        return [*XYZ, *_EXTENSION_NAMES[extension, width]]
     if width > 3 and _counts(table[:, 0]):
         first, last = table[[0, -1], 0]
         warn(
@@ -111,6 +128,14 @@ def _names_by_values(table: FloatArray, first: int, warn: Warn) -> list[str]:
             " in a first line, such as '# x y z intensity red green blue'"
         )
         return [*XYZ, *(f"column_{k}" for k in range(first + 3, end))]
+    if COLORS[0] in names:
+        start = names.index(COLORS[0])
+        if (high := table[:, start : start + 3].max()) <= _MAX_CLASS:
+            warn(
+                f"columns {first + start} to {first + start + 2} have no names and are read as colours, of at most"
+                f" {high:g}: if they are classes or returns, name all columns in a first line, such as '# x y z"
+                " classification return_number number_of_returns'"
+            )
     return names
 
 
@@ -140,6 +165,19 @@ def _doubt(table: FloatArray) -> str | None:
 
 def _are_whole(values: FloatArray) -> bool:
     return bool((values[:100] == np.floor(values[:100])).all() and (values == np.floor(values)).all())
+
+
+def _matrix_kind(table: FloatArray) -> str | None:
+    """Return what the values are if they are the matrix of a lens or of a transform, which no points look like."""
+    if table.shape == (3, 3):
+        is_camera = (table[[0, 1, 0, 1], [0, 1, 2, 2]] > 0).all() and table[0, 1] == table[1, 0] == 0
+        return "a 3x3 camera matrix" if is_camera and table[2].tolist() == [0, 0, 1] else None
+    if table.shape not in ((3, 4), (4, 4)) or (len(table) == 4 and table[3].tolist() != [0, 0, 0, 1]):
+        return None
+    product = table[:3, :3] @ table[:3, :3].T
+    scale = product[0, 0]
+    is_rotation = scale > 0 and np.abs(product - scale * np.eye(3)).max() < _MAX_ROTATION_ERROR * scale
+    return f"a {len(table)}x4 matrix of a transform (--register matrix:FILE)" if is_rotation else None
 
 
 # ---- numbers ------------------------------------------------------------------------------------------------------
@@ -180,6 +218,8 @@ def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Wa
     if first is None:
         return np.empty((0, layout.width))
     try:
+        if layout.texts:
+            raise ValueError
         if layout.plain(first) != first.strip():
             body = [layout.plain(line) for line in body]
         table = np.loadtxt(body, dtype=np.float64, comments=None, delimiter=layout.delimiter, ndmin=2)
@@ -189,11 +229,9 @@ def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Wa
         pass  # comments between points, empty values or a damaged line: parse line by line
     rows, empty = [], 0
     for number, line in enumerate(lines[start:end], start + 1):
-        if not (plain := layout.plain(line)):
+        if not content(line):
             continue
-        words = [word.strip() for word in plain.split(layout.delimiter)]
-        if len(words) == layout.width + 1 and not words[-1]:
-            words.pop()  # after a delimiter at the end of this line
+        words = layout.words(line)
         gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
         for k in gaps:
             words[k] = "nan"

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 from pcbench.errors import InputError
-from pcbench.io.names import XYZ, standard_names
+from pcbench.io.names import XYZ, other_coordinates, repeated_name, standard_names
+from pcbench.regular_files import decode_text, encoding_of
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
 _FORTRAN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eEdD][+-]?\d+)?", re.ASCII)
 _WITH_COMMAS = re.compile(r"[+-]?\d[\d.]*(,[\d.]+)+([eEdD][+-]?\d+)?", re.ASCII)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+", re.ASCII)
+_MISSING = ("na", "n/a", "null", "none", "-")  # words for an empty value, in lower case
 _COMMENTS = ("#", "//")
 _COMMENT_LINES = ("%", ";")  # only at the start of a line
 _UNIT = re.compile(r"(.+?)[\[(]([^\[\]()\d][^\[\]()]*)[\])]")  # "X[m]"; the digits of "a[0]" are no unit
@@ -38,6 +42,7 @@ class TableLayout(NamedTuple):
         unit: unit of the coordinates, if the file states it.
         decimal_comma: whether commas are decimal points.
         ends_with_delimiter: whether a delimiter follows the last value of a line.
+        texts: indices of the columns of text, which a header names.
         warnings: lines on what is unusual.
     """
 
@@ -50,16 +55,25 @@ class TableLayout(NamedTuple):
     unit: str | None
     decimal_comma: bool
     ends_with_delimiter: bool
+    texts: frozenset[int]
     warnings: tuple[str, ...]
+
+    def words(self, line: str) -> list[str]:
+        """Return the values of a line in Python's notation; those in columns of text are "nan", empty ones ""."""
+        text = content(line) if self.texts else self.plain(line)
+        words = cells(text, self.delimiter, self.width)
+        words = ["nan" if k in self.texts else word for k, word in enumerate(words)]
+        return ["" if is_missing(word) else self._notation(word) for word in words]
 
     def plain(self, line: str) -> str:
         """Return a line of numbers without comment, quotes and trailing delimiter, in Python's notation."""
         text = content(line).replace('"', "")
         if self.delimiter is not None and self.ends_with_delimiter:
             text = text.removesuffix(self.delimiter)
-        if self.decimal_comma:
-            text = text.replace(",", ".")
-        return text.replace("D", "e").replace("d", "e")
+        return self._notation(text)
+
+    def _notation(self, text: str) -> str:
+        return (text.replace(",", ".") if self.decimal_comma else text).replace("D", "e").replace("d", "e")
 
 
 class _TableHeader(NamedTuple):
@@ -67,6 +81,15 @@ class _TableHeader(NamedTuple):
     unit: str | None
     crs: str | None
     warnings: list[str]
+
+
+def decode_table(data: bytes) -> str:
+    """Return the text of a table, in UTF-8, in UTF-16 with a byte order mark, or in the Windows code page 1252."""
+    try:
+        return decode_text(data)
+    except UnicodeDecodeError:  # a spreadsheet on Windows wrote it, or UTF-16 is cut off
+        encoding = encoding_of(data)
+        return data.decode(encoding if encoding == "utf-16" else "cp1252", errors="replace")
 
 
 def find_layout(lines: list[str]) -> TableLayout:
@@ -79,6 +102,7 @@ def find_layout(lines: list[str]) -> TableLayout:
     header: tuple[int, str] | None = None  # index and text
     comment: str | None = None  # a comment that reads like a header
     units: list[str] = []
+    texts: frozenset[int] = frozenset()
     count: int | None = None
     tags: dict[str, str] = {}
     for index, line in enumerate(lines):
@@ -96,7 +120,8 @@ def find_layout(lines: list[str]) -> TableLayout:
         if delimiter is None and header is not None and _are_tabbed(header[1], numbers):
             delimiter = "\t"
         words = split(numbers, delimiter)
-        if all(not word or _is_number(word, delimiter) for word in words) and any(words):
+        is_value = [is_missing(word) or _is_number(word, delimiter) for word in words]
+        if all(is_value) and any(_is_number(word, delimiter) for word in words):
             if len(words) == 1 and count is None and numbers.strip().isdigit() and len(numbers) < 19:
                 count = int(numbers)
                 continue
@@ -106,15 +131,20 @@ def find_layout(lines: list[str]) -> TableLayout:
         if header is not None and not units and is_units_row(words):
             units = words
             continue
+        column_names = header[1] if header is not None else comment
+        if column_names is not None and (texts := _text_columns(column_names, numbers, delimiter)):
+            words = cells(numbers, delimiter, len(_words_of(column_names)))
+            break
         is_header = _has_xyz(numbers) or not any(NUMBER.fullmatch(word) for word in words)
         if not is_header or header is not None or count is not None:
-            raise InputError(f"line {index + 1}: expected numbers, got {excerpt(text)}: correct the line")
+            remedy = ", or name the columns in a first line, such as 'name x y z'" if sum(is_value) >= 3 else ""
+            raise InputError(f"line {index + 1}: expected numbers, got {excerpt(text)}: correct the line{remedy}")
         header = index, numbers
     else:
         raise InputError(f"expected lines of numbers, got none in {len(lines)} lines: export the file again")
 
     warnings: list[str] = []
-    ends_with_delimiter = numbers.endswith(delimiter or "\n")
+    ends_with_delimiter = not texts and numbers.endswith(delimiter or "\n")
     named = _words_of(header[1] if header else comment or "")
     if ends_with_delimiter and len(named) == len(words) + 1:  # the last value is empty
         ends_with_delimiter = False
@@ -134,7 +164,7 @@ def find_layout(lines: list[str]) -> TableLayout:
             f"line {index + 1}: expected decimal points, got commas in numbers and between them: {excerpt(text)}:"
             " export it with semicolons between the numbers"
         )
-    if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
+    if delimiter == "," and not texts and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
         raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")
     return TableLayout(
         first=index,
@@ -146,6 +176,7 @@ def find_layout(lines: list[str]) -> TableLayout:
         unit=tags.get("unit") or (table_header and table_header.unit),
         decimal_comma=decimal_comma,
         ends_with_delimiter=ends_with_delimiter,
+        texts=texts,
         warnings=(*(table_header.warnings if table_header else ()), *warnings),
     )
 
@@ -172,17 +203,32 @@ def find_delimiter(text: str) -> str | None:
 
 
 def _are_tabbed(header: str, row: str) -> bool:
-    """Return whether tabs divide a row of numbers, some of which may be empty, as they divide the header."""
-    words = row.split("\t")
-    return len(words) == header.count("\t") + 1 >= 3 and all(
-        not w.strip() or _is_number(w.strip(), None) for w in words
-    )
+    """Return whether tabs divide a row, of which some values may be empty, as they divide the header."""
+    return row.count("\t") == header.count("\t") >= 2
 
 
 def split(text: str, delimiter: str | None) -> list[str]:
     """Return the words of a line; a trailing delimiter ends the last one."""
     text = text if delimiter is None else text.removesuffix(delimiter)
     return [word.strip().strip("\"'").strip() for word in text.split(delimiter)]
+
+
+def cells(text: str, delimiter: str | None, width: int) -> list[str]:
+    """Return the words of a line with texts, in which a delimiter within quotes is part of a word.
+
+    An empty word after `width` others is left out: a delimiter ends the line.
+    """
+    words = text.split(delimiter)
+    if delimiter is not None and '"' in text:
+        with suppress(csv.Error):  # a word that is too long
+            (words,) = csv.reader([text], delimiter=delimiter, skipinitialspace=True)
+    words = [word.strip() for word in words]
+    return words[:-1] if len(words) == width + 1 and not words[-1] else words
+
+
+def is_missing(word: str) -> bool:
+    """Return whether a word stands for an empty value."""
+    return not word or word.lower() in _MISSING
 
 
 def excerpt(text: str) -> str:
@@ -235,7 +281,7 @@ def is_units_row(words: Sequence[str]) -> bool:
 
 
 def _words_of(header: str) -> list[str]:
-    header = re.sub(r"\s+(?=[\[(])", "", header)  # "X [m]" is one word
+    header = re.sub(r"(?<!\s)\s+(?=[\[(])", "", header)  # "X [m]" is one word
     return [word or f"column_{k}" for k, word in enumerate(split(header, find_delimiter(header)), 1)]
 
 
@@ -250,9 +296,25 @@ def _names(words: list[str]) -> tuple[list[str], list[str]]:
     return names, units
 
 
+def _without_unit(word: str) -> str:
+    match = _UNIT.fullmatch(word)
+    return word if match is None else match[1].strip()
+
+
 def _has_xyz(text: str) -> bool:
     names = _names(_words_of(text))[0]
     return set(XYZ) <= set(standard_names(list(dict.fromkeys(names))))
+
+
+def _text_columns(header: str, row: str, delimiter: str | None) -> frozenset[int]:
+    """Return the indices of the words of a row that are text; none unless the header names x, y and z as numbers."""
+    names = _names(_words_of(header))[0]
+    words = cells(row, delimiter, len(names))
+    if len(names) != len(words) or len(set(names)) < len(names):
+        return frozenset()
+    texts = {k for k, word in enumerate(words) if not is_missing(word) and not _is_number(word, delimiter)}
+    standard = standard_names(names)
+    return frozenset(texts) if not texts & {standard.index(axis) for axis in XYZ if axis in standard} else frozenset()
 
 
 def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _TableHeader:
@@ -263,11 +325,12 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
     """
     words = _words_of(text)
     names, units = _names(words)
-    unique = list(names)
+    unique, seen = list(names), set[str]()
     for position, name in enumerate(names):
-        if name in names[:position] and name.lower() not in XYZ:
+        if name in seen and name.lower() not in XYZ:
             unique[position] = f"{name}_{position + 1}"
-    if twice := next((name for name in unique if unique.count(name) > 1), None):
+        seen.add(name)
+    if twice := repeated_name(unique):
         raise InputError(
             f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
         )
@@ -287,10 +350,15 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Ta
     warnings = []
     if repeated := len(set(unique) - set(names)):
         warnings.append(f"numbered {repeated} repeated column name{'s' * (repeated > 1)}")
+    if others := other_coordinates(unique):
+        chosen = [unique[standard.index(axis)] for axis in XYZ]
+        warnings.append(
+            f"the columns {', '.join(chosen)} are read as x, y and z, and {', '.join(others)} as attributes: rename"
+            " them to exchange them"
+        )
     stated = {(units_row or units)[standard.index(axis)].strip("[]()") for axis in XYZ}
     if is_geographic := any(
-        word.lower() in _GEOGRAPHIC and standard[position] in XYZ
-        for position, word in enumerate(_UNIT.sub(r"\1", word).strip() for word in words)
+        _without_unit(word).lower() in _GEOGRAPHIC and standard[position] in XYZ for position, word in enumerate(words)
     ):
         warnings.append(f"longitude and latitude are read as x and y in degrees ({_WGS84})")
     elif len(stated) > 1 and "" not in stated:

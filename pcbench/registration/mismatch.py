@@ -78,6 +78,12 @@ def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float
         text = f"the reference is in {reference.unit}, the candidate in {candidate.unit}: convert it with"
         text += f" pcbench convert FILE OUT --to-unit {reference.unit}"
         return (Notice(UNIT_MISMATCH, text),)
+    stated = {unit_key(unit) for unit in (reference.unit, candidate.unit) if unit}
+    if len(stated) == 2 and not (first and second):
+        unknown = candidate.unit if first else reference.unit
+        text = f"the reference is in {reference.unit}, the candidate in {candidate.unit}, and the length of one"
+        text += f" {unknown} is unknown: state it with pcbench convert FILE OUT --unit UNIT"
+        return (Notice(UNIT_MISMATCH, text),)
     suspected = _suspected_units(ratio)
     if suspected is None or abs(abs(np.log(ratio)) - np.log(suspected.factor)) > _MAX_LOG_RATIO:
         return ()

@@ -58,6 +58,7 @@ UNWRITABLE_FORMATS = {
     ".spz": (splat_bytes.packed_spz(3), 2),
     ".tif": (None, 16),
     ".tiff": (None, 16),
+    **dict.fromkeys((".xyzi", ".xyzn", ".xyzrgb"), (b"1 2 3\n" * 20, 20)),
     ".pts": (b"20\n" + "\n".join(" ".join(map(str, p)) for p in POINTS.tolist()).encode(), 20),
     ".stl": (mesh_bytes.stl(), CUBE_VERTICES),
     ".obj": (mesh_bytes.obj(), CUBE_VERTICES),

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from command_line import is_one_line, without_progress
@@ -67,6 +68,12 @@ def test_a_closed_pipe_ends_the_run_quietly(files, arguments, pipes):
         code, _, err = shell(f"{PCBENCH} {arguments} {pipe}")
         assert code in (0, 2)
         assert without_progress(err) == ""
+
+
+@pytest.mark.long
+def test_a_report_is_written_without_a_reader_of_its_answer(files):
+    shell(f"{PCBENCH} compare ref.ply a.ply --no-figures --out report | head -1")
+    assert Path("report/comparison.json").is_file()
 
 
 def test_a_full_output_is_an_error(files):

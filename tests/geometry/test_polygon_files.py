@@ -8,12 +8,14 @@ import pytest
 from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from optional import import_or_skip
 from polygon_rings import HOLE, SEPARATE_SQUARE, SQUARE
 from wording import check_error, check_text
 
 from pcbench import Cloud, parse_region
 from pcbench.errors import InputError
 from pcbench.geometry.polygon_files import read_polygon
+from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Polygon, Union
 
 no_deadline = settings(deadline=None, max_examples=40)  # must not fail on a busy machine
@@ -108,6 +110,25 @@ def test_several_polygons_are_a_union(tmp_path):
     assert isinstance(region, Union)
     assert region.contains(points([1, 1, 0], [5, 1, 0], [7, 1, 0])).tolist() == [1, 0, 1]
     assert region.text == f"polygon:{tmp_path / 'two.json'}"
+
+
+@pytest.mark.parametrize("stated", ["urn:ogc:def:crs:EPSG::32632", "EPSG:32633", "urn:ogc:def:crs:OGC:1.3:CRS84", None])
+def test_another_coordinate_system_is_refused(tmp_path, stated):
+    import_or_skip("pyproj")
+    path = tmp_path / "p.geojson"
+    crs = {} if stated is None else {"crs": {"type": "name", "properties": {"name": stated}}}
+    path.write_text(json.dumps(crs | geojson("Polygon", [SQUARE])))
+    cloud = Cloud(np.eye(3), crs="EPSG:32632+5783")
+    if stated in (None, "urn:ogc:def:crs:EPSG::32632"):
+        assert as_region(f"polygon:{path}", cloud) is not None
+    else:
+        for region in (f"polygon:{path}", read_polygon(path)):
+            with check_error():
+                as_region(region, cloud)
+        assert as_region(f"polygon:{path}", CLOUD) is not None
+    path.write_text("SRID=32633;POLYGON((0 0,4 0,4 4))")
+    with check_error():
+        as_region(f"polygon:{path}", cloud)
 
 
 def test_the_text_of_a_polygon_is_its_file(tmp_path):

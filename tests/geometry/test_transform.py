@@ -337,6 +337,12 @@ def test_invalid_arguments_are_refused(make):
         make()
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_encodings_of_matrix_files(tmp_path, encoding):
+    (tmp_path / "m.txt").write_bytes(format_matrix(Similarity(np.eye(3), np.array([1.5, 2, 3]))).encode(encoding))
+    assert read_matrix(tmp_path / "m.txt").translation.tolist() == [1.5, 2, 3]
+
+
 @pytest.mark.parametrize(
     "content",
     [

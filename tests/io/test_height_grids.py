@@ -45,6 +45,48 @@ def test_ascii_grids_are_surfaces(grid):
     np.testing.assert_allclose(MeshIndex(mesh).query(inside).distances, 0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("stated", "stored"),
+    [
+        ("nan", "nan"),
+        ("NaN", "NAN"),
+        ("-3.4028234663852886e+38", "-3.40282e+38"),
+        ("-3.40282346638529e+38", "-3.40282346638529e+38"),
+        ("-9999.9", "-9999.900390625"),
+        ("-1e400", "-inf"),
+        ("0", "0"),
+    ],
+)
+def test_values_for_missing_data(tmp_path, stated, stored):
+    text = asc().replace("NODATA_value -9999", f"NODATA_value {stated}").replace("-9999.0", stored)
+    (tmp_path / "a.asc").write_text(text)
+    check_grid(tmp_path / "a.asc")
+
+
+def test_a_coordinate_system_beside_a_grid(grid):
+    import_or_skip("pyproj")
+    wkt = (
+        'PROJCS["WGS_1984_UTM_Zone_32N",GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137.0,'
+        '298.257223563]],PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+        'PARAMETER["False_Easting",500000.0],PARAMETER["False_Northing",0.0],PARAMETER["Central_Meridian",9.0],'
+        'PARAMETER["Scale_Factor",0.9996],PARAMETER["Latitude_Of_Origin",0.0],UNIT["Meter",1.0]]'
+    )
+    grid.with_suffix(".prj").write_text(wkt)
+    mesh, notes = check_grid(grid)
+    assert "UTM" in mesh.crs or mesh.crs == "EPSG:32632"
+    assert (mesh.unit, len(notes)) == ("m", 1)
+    grid.with_suffix(".prj").write_text("Projection UTM\nZone 32\n")
+    mesh, notes = check_grid(grid)
+    assert mesh.crs is None
+    check_text("\n".join(notes))
+
+
+def test_decimal_commas(tmp_path):
+    (tmp_path / "a.asc").write_text(asc().replace(".", ","))
+    _, notes = check_grid(tmp_path / "a.asc")
+    assert notes[0] == f"{tmp_path / 'a.asc'}: commas are read as decimal points"
+
+
 def test_tables_with_the_same_extension_are_clouds(tmp_path):
     (tmp_path / "a.asc").write_text("1 2 3\n4 5 6\n")
     assert Source.open(tmp_path / "a.asc").kind == "cloud"

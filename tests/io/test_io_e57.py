@@ -81,12 +81,30 @@ def test_colours_intensity_normals_and_invalid_points(pye57, tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("stored", "expected"),
+    [
+        ((0.2, 0.5, 1.0), [51, 128, 255]),
+        ((20.0, 100.0, 255.0), [20, 100, 255]),
+        ((20, 100, 255), [20, 100, 255]),
+        ((0, 30000, 65535), [0, 117, 255]),
+        ((0, 1, 0), [0, 1, 0]),
+    ],
+)
+def test_colours_without_limits_are_scaled_by_their_values(pye57, tmp_path, stored, expected):
+    channels = dict.fromkeys(("colorRed", "colorGreen", "colorBlue"), np.array(stored))
+    eight_bit = dict.fromkeys(channels, np.array([7, 8, 9])) | {"limits": (0, 255)}
+    scans = [cartesian(POINTS[:3]) | channels, cartesian(POINTS[:3]) | eight_bit]
+    cloud, notes = read(write(tmp_path / "a.e57", scans))
+    assert (cloud.colors[:, 1].tolist(), notes) == ([*expected, 7, 8, 9], [])
+
+
 def test_fields_missing_in_some_scans_are_left_out(pye57, tmp_path):
-    scans = [cartesian(POINTS, intensity=POINTS[:, 0]), cartesian(POINTS), {"intensity": POINTS[:, 0]}]
+    scans = [cartesian(POINTS, intensity=POINTS[:, 0]), cartesian(POINTS), {"intensity": POINTS[:, 0]}, {}]
     cloud, notes = read(write(tmp_path / "a.e57", scans))
     assert len(cloud) == 400
     assert set(cloud.attributes) == {"scan"}
-    assert any("1 of 3 scans have no valid point" in note for note in notes)
+    assert any("2 of 4 scans have no valid point" in note for note in notes)
     assert any("only some of 2 scans have: intensity" in note for note in notes)
 
 

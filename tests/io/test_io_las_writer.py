@@ -39,6 +39,13 @@ def full_cloud(count=500, seed=1):
     )
 
 
+@pytest.mark.parametrize(("times", "is_standard"), [((0, 604_800), 0), ((2.5e8, 2.6e8), 1), ((-1.0, 5.0), 1)])
+def test_the_header_says_what_gps_times_are(tmp_path, times, is_standard):
+    write_cloud(tmp_path / "a.las", Cloud(np.eye(3)[:2], attributes={"gps_time": np.array(times, float)}))
+    (encoding,) = struct.unpack_from("<H", (tmp_path / "a.las").read_bytes(), 6)
+    assert encoding & 1 == is_standard
+
+
 @pytest.mark.parametrize("extension", [".las", ".laz", ".LAZ"])
 def test_round_trip(tmp_path, extension):
     laspy = import_or_skip("laspy")

@@ -37,6 +37,14 @@ def test_builtin_readers(tmp_path, name):
     assert Source.open(path).holds_mesh
 
 
+@pytest.mark.parametrize("name", [name for name, data in CUBES.items() if data.isascii() and b"\0" not in data])
+def test_line_ends_of_old_macs(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(CUBES[name].replace(b"\n", b"\r"))
+    assert Source.open(path).holds_mesh
+    check_cube(read_mesh(path))
+
+
 @pytest.fixture
 def trimesh():
     return import_or_skip("trimesh")
@@ -243,6 +251,8 @@ REFUSED_FILES = {
     "magic.off": b"ply\n",
     "comment.off": b"# OFF\n",
     "counts.off": b"OFF\nmany words\n",
+    "points.off": b"OFF\n1 0 0\n0 0 0\n",
+    "short words.off": off().replace(b"\n", b" ")[:-20],
     "huge.off": off().replace(b"8 12 0", b"8 999999999 0"),
     "cut.off": off()[:30],
     "short face.off": off()[:-3] + b"\n",

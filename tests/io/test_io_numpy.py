@@ -104,6 +104,21 @@ def test_four_columns_have_intensity(tmp_path):
     assert cloud.attributes["ring"].tolist() == [0, 1]
 
 
+def test_columns_by_name(tmp_path):
+    columns = {"X": np.arange(2.0), "Y": np.array([3, 4], ">i4"), "z": np.array([5.5, 6], "f4")}
+    columns |= {"R": np.array([0.2, 1]), "G": np.zeros(2), "B": np.ones(2), "Classification": np.array([2, 6], "u1")}
+    records = np.empty(2, [(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        records[name] = column
+    np.save(tmp_path / "a.npy", records)
+    np.savez(tmp_path / "a.npz", **columns)
+    for name in ("a.npy", "a.npz"):
+        cloud = read_cloud(tmp_path / name)
+        assert cloud.points.tolist() == [[0, 3, 5.5], [1, 4, 6]]
+        assert cloud.colors.tolist() == [[51, 0, 255], [255, 0, 255]]
+        assert {key: values.tolist() for key, values in cloud.attributes.items()} == {"classification": [2, 6]}
+
+
 POINTS = np.arange(12.0).reshape(4, 3)
 DAMAGED_NPY = {
     "magic": b"ply\n" + bytes(40),
@@ -126,6 +141,8 @@ DAMAGED_NPY = {
     "digits": npy_header(shape=f"({'9' * 9000}, 3)"),
     "fields": npy_header("[('x', '<f8'), ('y', '<f8')]"),
     "records": npy_header("[('x', '<f8')]"),
+    "text field": npy_header("[('x', '<f8'), ('y', '<f8'), ('z', '<f8'), ('a', '<U5')]"),
+    "rows of fields": npy_header("[('x', '<f8'), ('y', '<f8'), ('z', '<f8')]", shape="(4, 3)"),
     "rows of rows": npy_header("'(2,)<f8'"),
     "bool": npy_bytes(np.ones((4, 3), bool)),
     "flat": npy_bytes(np.arange(12.0)),
@@ -213,6 +230,10 @@ DAMAGED_NPZ = {
     "encrypted": bytes(ENCRYPTED_NPZ),
     "empty": zip_bytes({}),
     "no points": npz_bytes(a=POINTS, b=POINTS),
+    "columns of two lengths": npz_bytes(x=POINTS[:, 0], y=POINTS[:, 0], z=POINTS[:3, 0]),
+    "columns and a matrix": npz_bytes(x=POINTS[:, 0], y=POINTS[:, 0], z=POINTS[:, 0], faces=POINTS),
+    "empty columns": npz_bytes(**dict.fromkeys("xyz", POINTS[:0, 0])),
+    "records": npz_bytes(points=np.zeros(4, [(name, "f8") for name in "xyz"])),
     "no array": zip_bytes({"readme.txt": b"hello"}),
     "bzip2": zip_bytes({"points.npy": npy_bytes(POINTS)}, zipfile.ZIP_BZIP2),
     "shape and size": zip_bytes({"points.npy": npy_header(shape="(10000000, 3)")}),

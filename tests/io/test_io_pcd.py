@@ -118,6 +118,9 @@ def test_packed_colors_as_whole_numbers(tmp_path):
     cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
     assert (cloud.colors.tolist(), len(notes)) == ([[10, 11, 12]] * 4, 1)
     check_text(*notes)
+    rows[0] = (*rows[0][:3], float("nan"))
+    cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
+    assert cloud.colors[:2].tolist() == [[0, 0, 0], [10, 11, 12]]
 
 
 # ---- LZF ----
@@ -157,6 +160,7 @@ FOUR_POINTS = points(4)
 COMPRESSED_PCD = pcd("binary_compressed", XYZ, FOUR_POINTS)
 BODY_START = COMPRESSED_PCD.index(b"binary_compressed\n") + len(b"binary_compressed\n")
 DAMAGED_FILES = {
+    "many values": pcd("binary", [*XYZ, "a U1 10000"], [(*point, *[0] * 10_000) for point in points(1)]),
     "another format": b"ply\nformat ascii 1.0\n",
     "no data": b"VERSION 0.7\nFIELDS x y z\n",
     "long": b"# long\n" * 200_000,

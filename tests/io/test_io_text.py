@@ -42,6 +42,12 @@ def test_single_point_and_byte_order_mark(tmp_path):
     assert read(tmp_path, b"\xef\xbb\xbfx,y,z\n1,2,3\n", "a.csv").points.tolist() == [[1, 2, 3]]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+def test_encodings(tmp_path, encoding):
+    cloud = read(tmp_path, "x,y,z,H\u00f6henfehler\n1,2,3,4\n\0".encode(encoding), "a.csv", on_warning=lambda _: None)
+    assert (cloud.points.tolist(), list(cloud.attributes)) == ([[1, 2, 3]], ["H\u00f6henfehler"])
+
+
 def test_comments_and_empty_lines(tmp_path):
     text = "# made by hand\n\n// in metres\n  1 2 3\n\n# half way\n4 5 6 # the end\n7 8 9 // really\n   \n"
     assert read(tmp_path, text).points.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
@@ -99,6 +105,44 @@ def test_colors_out_of_range_are_attributes(tmp_path, values):
     assert list(cloud.attributes) == ["red", "green", "blue"]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name,z,x,y,i,code\nP1,3,1,2,7,tree\n"P2, old",6,4,5,8,\n',
+        "name;z;x;y;i;code\nP1;3,0;1,0;2,0;7;tree\nP2;6,0;4,0;5,0;8;1,5 m\n",
+        "name\tz\tx\ty\ti\tcode\nP1\t3\t1\t2\t7\ttree\nP 2\t6\t4\t5\t8\tbig tree\n",
+        "# name z x y i code\nP1 3 1 2 7 tree\nP2 6 4 5 8 house\n",
+    ],
+)
+def test_columns_of_text_are_left_out(tmp_path, text):
+    notes = []
+    cloud = read(tmp_path, text, on_warning=notes.append)
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"i": [7, 8]}
+    check_text("\n".join(notes))
+
+
+def test_words_for_empty_values(tmp_path):
+    cloud = read(tmp_path, "x,y,z,a,b\n1,2,3,NA,4\n4,5,6,7,null\n", on_warning=lambda _: None)
+    np.testing.assert_array_equal(cloud.attributes["a"], [np.nan, 7])
+    np.testing.assert_array_equal(cloud.attributes["b"], [4, np.nan])
+
+
+def test_a_second_triple_of_coordinates_has_a_warning(tmp_path):
+    notes = []
+    for header in ("X,Y,Z,x,y,z", "Easting,Northing,Elevation,x,y,z"):
+        cloud = read(tmp_path, f"{header}\n1,2,3,4,5,6\n", on_warning=notes.append)
+        assert cloud.points.tolist() == [[4, 5, 6]]
+    read(tmp_path, "x,y,z,height\n1,2,3,4\n", on_warning=pytest.fail)  # above the ground
+    check_text("\n".join(notes))
+
+
+@pytest.mark.parametrize("name", [" " * 60_000 + "a", "a" + "(" * 60_000])
+def test_long_headers_take_linear_time(tmp_path, name):
+    assert read(tmp_path, f"x y z {name}\n1 2 3 4\n").points.tolist() == [[1, 2, 3]]
+    refusal(tmp_path, "x\ty\tz" + "\t" * 20_000 + "\n1\t2\t3\n")
+
+
 def test_prose_is_not_a_header(tmp_path):
     assert read(tmp_path, "# x y z in metres\n1 2 3\n").points.tolist() == [[1, 2, 3]]
 
@@ -130,6 +174,13 @@ def test_pts_columns(tmp_path):
     assert cloud.colors.tolist() == [[10, 20, 30], [40, 50, 60]]
     assert cloud.attributes["intensity"].tolist() == [-2048, 2047]
     assert list(read(tmp_path, "1\n1 2 3 4\n", "a.pts").attributes) == ["intensity"]
+
+
+def test_extensions_of_open3d(tmp_path):
+    assert read(tmp_path, "1 2 3 0 0 1\n", "a.xyzn").normals.tolist() == [[0, 0, 1]]
+    assert read(tmp_path, "1 2 3 0 0 1\n", "a.xyzrgb").colors.tolist() == [[0, 0, 255]]
+    assert list(read(tmp_path, "1 2 3 0.5\n", "a.xyzi").attributes) == ["intensity"]
+    assert read(tmp_path, "x y z red green blue\n1 2 3 9 8 7\n", "a.xyzn").colors.tolist() == [[9, 8, 7]]
 
 
 def test_real_files():
@@ -326,11 +377,18 @@ def test_columns_without_names(tmp_path, row, expected):
         assert cloud.colors[0].tolist() == [9, 0, 1]
 
 
+def test_columns_that_may_be_classes_have_a_warning(tmp_path):
+    cloud, notes = read_with_notes(tmp_path, "0.5 2 3 2 1 1\n0.5 2 4 6 2 3\n")
+    assert (cloud.colors.tolist(), len(notes)) == ([[2, 1, 1], [6, 2, 3]], 1)
+    check_text(*notes)
+    assert not read_with_notes(tmp_path, "0.5 2 3 2 1 1\n0.5 2 4 6 2 32\n")[1]
+
+
 # ---- damage ----
 
 DAMAGED_TEXTS = {
     "binary": b"1 2 3\0\0\n",
-    "utf-16": "1 2 3\n".encode("utf-16"),
+    "utf-16": "1 2 3\n".encode("utf-16-le"),
     "blank": "\n \n# nothing\n",
     "header only": "x y z\n",
     "two columns": "1 2\n3 4\n",
@@ -342,6 +400,8 @@ DAMAGED_TEXTS = {
     "other digits": "1 2 3\n4 \u0665 6\n",
     "latin-1": b"1 2 3\n4 5 6 m\xb2\n",
     "label": "P1 1 2 3\n",
+    "text for a coordinate": "name,x,y,z\nP1,1,2,3\nP2,4,five,6\n",
+    "text below numbers": "x,y,z,name\n1,2,3,4\n1,2,3,P4\n",
     "prose": "hello world\n1 2 3\n",
     "two headers": "x y z\na b c\n1 2 3\n",
     "names": "x y z a\n1 2 3\n",
@@ -360,6 +420,9 @@ DAMAGED_TEXTS = {
     "grid without size": "ncols 2\nnrows 2\n1 2 3 4\n",
     "grid of words": "ncols 2\nnrows 1\ncellsize 1\n1 two\n",
     "grid without data": "ncols 2\nnrows 1\ncellsize 1\n-9999 -9999\n",
+    "camera matrix": "2759.48 0 1520.69\n0 2764.16 1006.81\n0 0 1\n",
+    "transform": "0 -2 0 100\n2 0 0 200\n0 0 2 5\n0 0 0 1\n",
+    "pose": "0 -1 0 100\n1 0 0 200\n0 0 1 5\n",
     "long": "1 2 3\n" + "a" * 1000,
 }  # fmt: skip
 

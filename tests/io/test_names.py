@@ -1,5 +1,7 @@
 """Names and scalings of the fields of points, equal for all readers, and what writers cannot store."""
 
+import re
+
 import numpy as np
 import pytest
 from optional import import_or_skip
@@ -25,6 +27,7 @@ SCALES = {
     "from 0 to 1": ("float F4", (1.0, 0.0, 0.5), [255, 0, 128]),
     "floats to 255": ("float F4", (255.0, 0.0, 6.6), [255, 0, 7]),
     "double": ("double F8", (0.2, 0.0, 0.4), [51, 0, 102]),
+    "interpolated": ("float F4", (1.02, -1e-7, 0.4), [255, 0, 102]),
 }
 UNSCALED = {"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)}
 
@@ -55,6 +58,17 @@ def test_colors(tmp_path, scale, columns):
         cloud = read(tmp_path / name, data)
         assert (cloud.points.tolist(), cloud.attributes) == ([list(XYZ)], {}), name
         assert cloud.colors.tolist() == [expected], name
+
+
+def test_line_ends_of_old_macs(tmp_path):
+    for name, data in files(tmp_path, "uchar U1", "r g b", (255, 0, 7)):
+        header, body = data, b""
+        if isinstance(data, bytes):
+            *_, last = (match.end() for match in re.finditer(rb"end_header\n|DATA [a-z]+\n", data))
+            header, body = data[:last].replace(b"\n", b"\r"), data[last:]
+            body = body.replace(b"\n", b"\r") if b"ascii" in header else body
+        cloud = read(tmp_path / name, header.replace("\n", "\r") if isinstance(header, str) else header + body)
+        assert (cloud.points.tolist(), cloud.colors.tolist()) == ([list(XYZ)], [[255, 0, 7]]), name
 
 
 @pytest.mark.parametrize("kinds", UNSCALED)

@@ -6,6 +6,7 @@ import struct
 import time
 
 import ept_bytes
+import mesh_bytes
 import numpy as np
 import ply_bytes
 import pytest
@@ -95,6 +96,31 @@ def test_tables_beside_clouds_are_left_out(tiles):
             file.unlink()
     (tiles / "readme.txt").write_text("1 2 3\n")
     assert len(check_pieces(tiles)[1]) == 1
+
+
+def test_meshes_beside_clouds_are_left_out(tiles):
+    (tiles / "mesh.ply").write_bytes(mesh_bytes.ply_mesh())
+    disk, _ = check_pieces(tiles)
+    check_text(disk.warnings[0], masked=False)
+    for file in [file for file in tiles.iterdir() if file.is_file() and file.name != "mesh.ply"]:
+        file.unlink()
+    assert len(check_pieces(tiles)[1]) == len(mesh_bytes.VERTICES)
+
+
+def test_buffers_of_gltf_are_no_clouds(tmp_path):
+    positions = np.arange(12, dtype="<f4")  # also a scan of KITTI
+    (tmp_path / "a.bin").write_bytes(positions.tobytes())
+    part = {"attributes": {"POSITION": 0}, "mode": 0}
+    accessor = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}
+    document = {
+        "asset": {"version": "2.0"},
+        "meshes": [{"primitives": [part]}],
+        "accessors": [accessor],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}],
+        "buffers": [{"uri": "a.bin", "byteLength": 48}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    assert read_cloud(tmp_path).points.tolist() == positions.reshape(4, 3).tolist()
 
 
 def test_copies_in_other_formats_are_named(tmp_path):

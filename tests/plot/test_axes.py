@@ -7,6 +7,7 @@ import pytest
 from camera_rigs import random_rotation, rotated, sector
 from scipy.spatial import ConvexHull
 
+from pcbench.report.plot.plan_marks import left_of_arrow
 from pcbench.report.plot.rounding import round_origin
 from pcbench.report.plot.views import SOUTH_WEST, AxisBox, Viewpoint, oblique_view
 from pcbench.report.plotters.axes import axes_of, lay_out
@@ -117,3 +118,9 @@ def test_texts_of_axes_do_not_overlap_and_fit_into_the_window(shape, low, size, 
         assert (np.abs(places) <= share * np.array(size) + 1).all()
     shares = np.ptp(corners, axis=0) / size
     assert shares.max() > 0.29 or not shares.any()
+
+
+def test_numbers_do_not_cover_the_north_arrow():
+    extent = (100.0, 200.0, 0.0, 50.0)
+    places = [(195, 45), (195, 30), (150, 45), (192, 49)]
+    assert [left_of_arrow(place, extent) for place in places] == [192, 195, 150, 192]

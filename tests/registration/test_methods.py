@@ -189,6 +189,8 @@ def test_different_stated_units_are_a_warning(scene):
     pose = Similarity(np.eye(3), np.zeros(3), 0.3048)
     in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), pose)
     assert UNIT_MISMATCH not in codes(in_feet)
+    unknown = register(Cloud(reference, unit="m"), Cloud(candidate, unit="furlong"), "none")
+    assert UNIT_MISMATCH in codes(unknown)
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from pcbench.report.change.layers import PlanLayers
 from pcbench.report.change.words import place_mark
 from pcbench.report.colors import Range
 from pcbench.report.figures import rgb
-from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar, paper
+from pcbench.report.plot.plan_marks import draw_north_arrow, draw_scale_bar, left_of_arrow, paper
 from pcbench.report.plot.rounding import axis_title, round_origin
 
 _OUTLINE, _ZONE, _PROFILE = "#111111", "#8e24aa", "#00695c"
@@ -106,8 +106,10 @@ def _numbers(axis: Any, document: ChangeDocument, layers: PlanLayers) -> None:
         nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
         x = layers.west + (columns[nearest] + 0.5) * layers.pixel
         y = layers.north - (rows[nearest] + 0.5) * layers.pixel
+        at = left_of_arrow((x, y), layers.extent)
         axis.text(
-            x, y, str(number), fontsize=9, fontweight="bold", color=_OUTLINE, ha="center", va="center",
+            at, y, str(number), fontsize=9, fontweight="bold", color=_OUTLINE, ha="right" if at < x else "center",
+            va="center",
             path_effects=paper(), clip_on=True,
         )  # fmt: skip
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+from pcbench.geometry.arrays import FloatArray
 from pcbench.report.plot.rounding import round_length
 
 DARK = "#111111"
 _PAPER_WIDTH = 2.2
+_ARROW_CORNER = (0.92, 0.8)  # lower left corner of the room of the north arrow, as fractions of the axes
 
 
 def paper() -> list[Any]:
@@ -42,3 +45,16 @@ def draw_north_arrow(axis: Any) -> None:
         fontweight="bold", color=DARK, path_effects=paper(), zorder=5,
         arrowprops={"arrowstyle": "-|>", "color": DARK, "linewidth": 1.8, "path_effects": paper()},
     )  # fmt: skip
+
+
+def left_of_arrow(place: Sequence[float] | FloatArray, extent: tuple[float, float, float, float]) -> float:
+    """Return the x at which a text at a place (x, y) leaves the north arrow free: its own, or that left of the arrow.
+
+    Args:
+        place: the place.
+        extent: west, east, south and north of the axes.
+    """
+    west, east, south, north = extent
+    left, low = west + _ARROW_CORNER[0] * (east - west), south + _ARROW_CORNER[1] * (north - south)
+    x, y = place
+    return float(min(x, left) if y > low else x)

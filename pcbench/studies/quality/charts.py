@@ -16,7 +16,7 @@ from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import drawing_style
-from pcbench.report.plot.plan_marks import DARK, draw_north_arrow, draw_scale_bar, paper
+from pcbench.report.plot.plan_marks import DARK, draw_north_arrow, draw_scale_bar, left_of_arrow, paper
 from pcbench.studies.frame.canvas import (
     blank_figure,
     chart_pictures,
@@ -101,7 +101,7 @@ def _map(plan: PlanMap, cloud: MeasuredCloud, kind: str, limits: tuple[float, fl
     if kind == "thickness" and cloud.double_walls:
         places = np.array([wall.centre for wall in cloud.double_walls[:_MAX_NUMBERED]])
         axis.plot(places[:, 0], places[:, 1], "o", color=dark, fillstyle="none", markersize=9, label="double wall")
-        _number(axis, plan, places[:, :2])
+        _number(axis, plan, places[:, :2], cloud)
         figure.legend(loc="outside lower center", frameon=False, fontsize=9)
     _finish(axis, plan, cloud)
     return figure
@@ -125,13 +125,13 @@ def _void_map(maps: QualityMaps, cloud: MeasuredCloud) -> Any:
     shown = np.where(plan.values > 0, plan.values, np.nan)
     colors = ListedColormap([VERMILION, BLUE])
     axis.imshow(shown, cmap=colors, vmin=0.5, vmax=2.5, extent=(west, east, south, north), interpolation="nearest")
-    _number(axis, plan, np.array([(void.x, void.y) for void in cloud.voids[:_MAX_NUMBERED]]).reshape(-1, 2))
+    _number(axis, plan, np.array([(void.x, void.y) for void in cloud.voids[:_MAX_NUMBERED]]).reshape(-1, 2), cloud)
     _finish(axis, plan, cloud)
     return figure
 
 
-def _number(axis: Any, plan: PlanMap, places: FloatArray) -> None:
-    """Write numbers beside places (N, 2), from the first on, where they do not cover an earlier one."""
+def _number(axis: Any, plan: PlanMap, places: FloatArray, cloud: MeasuredCloud) -> None:
+    """Write numbers beside places (N, 2), from the first on, where they cover neither an earlier one nor the arrow."""
     west, east, south, north = plan.extent
     size = np.array([east - west, north - south])
     room = _NUMBER_ROOM * size.max() / _MAP_SIDE
@@ -141,6 +141,8 @@ def _number(axis: Any, plan: PlanMap, places: FloatArray) -> None:
             continue
         written = np.vstack([written, place])
         at_side = place > np.array([east, north]) - room  # right and upper: the number is on the other side
+        if cloud.crs is not None and (x := left_of_arrow(place, plan.extent)) < place[0]:
+            place, at_side[0] = np.array([x, place[1]]), True
         side, height = ("right" if at_side[0] else "left"), ("top" if at_side[1] else "bottom")
         axis.annotate(
             str(number), place, xytext=(-6 if at_side[0] else 6, -5 if at_side[1] else 5), textcoords="offset points",
