@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import io
+import runpy
 import sys
 from importlib import import_module
 from unittest.mock import Mock
@@ -30,6 +31,18 @@ def run_module(name, *arguments, **_):
     return children.ChildResult(code or 0, False, 0.0, output.getvalue(), errors.getvalue(), 0)
 
 
+def run_script(file, *arguments, **_):
+    """Run a Python file as `pcbench.children.run_script` does, without its limits and environment."""
+    code, errors = 0, ""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(file), *arguments])
+        try:
+            runpy.run_path(str(file), run_name="__main__")
+        except SystemExit as stop:
+            code, errors = (1, stop.code) if isinstance(stop.code, str) else (stop.code or 0, "")
+    return children.ChildResult(code, False, 0.0, "", errors, 0)
+
+
 @contextlib.contextmanager
 def stress_runs_here():
     """Let the runs of `pcbench stress` be done in a thread of this process."""
@@ -53,4 +66,13 @@ def drawing_here():
     """Let pictures of reports be drawn in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pcbench.report.plot.run_module", run_module)
+        yield
+
+
+@contextlib.contextmanager
+def libraries_read_here():
+    """Let trimesh and tifffile read files in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pcbench.io.gltf.run_script", run_script)
+        patch.setattr("pcbench.io.geotiff_heights.run_script", run_script)
         yield
