@@ -26,7 +26,10 @@ SCALES = {
     "floats to 255": ("float F4", (255.0, 0.0, 6.6), [255, 0, 7]),
     "double": ("double F8", (0.2, 0.0, 0.4), [51, 0, 102]),
 }
-UNSCALED = {"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)}
+UNSCALED = {
+    **{"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)},
+    **{"uint U4": (300, 0, 7), "int16 I2": (300, 0, 7)},  # only unsigned numbers of 16 bits may be as small
+}
 
 
 def read(path, data, **options):
