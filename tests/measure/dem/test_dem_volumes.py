@@ -30,6 +30,7 @@ def test_exact_volume_without_noise(change) -> None:
     assert detected == pytest.approx((*sides, sides[0] - sides[1]), abs=1e-9)
     assert whole.by_sign == pytest.approx(sides, abs=1e-9)
     assert whole.mean.value == pytest.approx(heights.mean(), abs=1e-12)
+    assert whole.undetected_share == pytest.approx((heights == 0).mean())
 
 
 def test_without_a_model_of_errors_fill_and_cut_are_sums_by_sign() -> None:
