@@ -86,6 +86,15 @@ def pytest_xdist_make_scheduler(config, log):
             file = nodeid.partition("::")[0]
             return file if _shares_fixtures(config.rootpath / file) else nodeid
 
+        def mark_test_complete(self, node, item_index, duration=0):
+            """Forget finished units: LoadScopeScheduling counts the pending tests of all units after each test."""
+            test = self.registered_collections[node][item_index]
+            scope, units = self._split_scope(test), self.assigned_work[node]
+            units[scope][test] = True
+            if all(units[scope].values()):
+                del units[scope]
+            self._reschedule(node)
+
         def remove_node(self, node):
             """Do not repeat the test that ended the worker, as one does that hangs."""
             units = self.assigned_work[node].values()

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -280,7 +281,7 @@ def provenance(seed: int | None) -> dict[str, Any]:
     """Return version, commit, seed, machine, command and time of a result."""
     return {
         "version": package_version(),
-        "commit": _commit(),
+        "commit": _running_commit(),
         "seed": seed,
         "machine": f"{platform.system()} {platform.machine()}, {cpu_count()} cores,"
         f" Python {platform.python_version()}, numpy {np.__version__}",
@@ -295,7 +296,13 @@ def _program() -> str:
     return "pcbench" if path.name == "__main__.py" and "pcbench" in path.parts else path.name
 
 
-def _commit(root: Path = Path(__file__).parents[2]) -> str | None:
+@cache
+def _running_commit() -> str | None:
+    """Return the commit of the code that runs. It is read once, because files that change later are not loaded."""
+    return _commit(Path(__file__).parents[2])
+
+
+def _commit(root: Path) -> str | None:
     """Return the commit of the source tree at `root`, and whether its code has changed; None without a repository."""
     if not (root / ".git").exists():
         return None

@@ -1,5 +1,6 @@
 """Waves that are shorter than a cubic field shows are found; noise, however correlated, shows none."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,7 +38,8 @@ def test_a_wave_is_found_with_its_length_direction_and_size(length):
     assert wave.rms == pytest.approx(0.10 / np.sqrt(2), rel=0.15)
     assert result.amplitude.rms >= wave.rms
     if length == 150.0:
-        check_text(result.sentence("c", "m"))
+        sentence = check_text(result.sentence("c", "m"))
+        assert float(re.search(r"at (\d+) degrees", sentence)[1]) == pytest.approx(30, abs=2)
 
 
 def test_the_limit_names_the_lengths_that_were_searched():

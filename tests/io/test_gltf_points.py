@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+import shapes
 from mesh_bytes import VERTICES, glb, glb_parts, gltf_bytes
 from refusals import refusal
 from wording import check_text
@@ -77,6 +78,14 @@ def test_nodes_move_points_and_normals(tmp_path):
     np.testing.assert_allclose(cloud.points, np.column_stack([11 - 2 * y, 20 + 2 * x, 30 + 4 * z]), atol=1e-12)
     directions = cloud.normals / np.linalg.norm(cloud.normals, axis=1, keepdims=True)
     np.testing.assert_allclose(directions, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_a_node_turns_points_about_any_axis(tmp_path):
+    axis, angle_deg = np.array([0.36, -0.48, 0.8]), 70
+    quaternion = [*np.sin(np.deg2rad(angle_deg / 2)) * axis, np.cos(np.deg2rad(angle_deg / 2))]
+    (tmp_path / "a.glb").write_bytes(cloud_glb(XYZ, nodes=[{"mesh": 0, "rotation": quaternion}]))
+    expected = POINTS @ shapes.rotation(axis, angle_deg).T
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.glb").points, expected, atol=1e-12)
 
 
 def test_points_with_an_index_and_whole_numbers(tmp_path):

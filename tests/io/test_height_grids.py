@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from children_here import libraries_read_here
 from height_grid_files import CENTERS, HEIGHTS, asc, write_tif
 from optional import import_or_skip
 from refusals import refusal
@@ -11,6 +12,13 @@ from pcbench import read_cloud, read_mesh
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.io.source import Source
+
+
+@pytest.fixture
+def tifffile():
+    """Let tifffile read files in this process; other tests use the child process."""
+    with libraries_read_here():
+        yield import_or_skip("tifffile")
 
 
 @pytest.fixture
@@ -120,6 +128,7 @@ VARIANTS = {
 VARIANTS["whole numbers"]["heights"][1, 2] = -9999
 
 
+@pytest.mark.usefixtures("tifffile")
 @pytest.mark.parametrize("name", VARIANTS)
 def test_variants_of_geotiff(tmp_path, name):
     mesh, _ = check_grid(write_tif(tmp_path / "a.tif", **VARIANTS[name]))
@@ -135,8 +144,7 @@ def test_heights_in_another_unit(tmp_path):
     check_text("\n".join(notes))
 
 
-def test_refused_tiffs(tmp_path):
-    tifffile = import_or_skip("tifffile")
+def test_refused_tiffs(tmp_path, tifffile):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, HEIGHTS)
     refusal(path)

@@ -173,6 +173,16 @@ def test_steps_of_the_source_are_kept(tmp_path, scale):
     assert np.abs(read_cloud(tmp_path / "b.las").points - moved.points).max() <= 5e-4
 
 
+def test_steps_in_which_numbers_exceed_32_bits_are_not_used(tmp_path):
+    (tmp_path / "a.las").write_bytes(las_bytes.las(6, 50, scales=(0.001,) * 3, offsets=(0, 0, 0)))
+    source = read_cloud(tmp_path / "a.las")
+    for largest in (3e6, -3e6):  # 3e9 steps
+        points = source.points.copy()
+        points[0, 0] = largest
+        write_cloud(tmp_path / "b.las", replace(source, points=points))
+        assert np.abs(read_cloud(tmp_path / "b.las").points - points).max() <= 1e-3
+
+
 def test_steps_of_tiles_are_kept(tmp_path):
     for k in range(2):
         data = las_bytes.las(6, 50, scales=(0.00025,) * 3, offsets=(1000 * k, 0, 0))

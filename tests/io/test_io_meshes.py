@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+from children_here import libraries_read_here
 from mesh_bytes import CUBES, FACES, OBJ, STRIPS, VERTICES, ascii_stl, glb, glb_parts, obj, off, ply_mesh, stl
 from mesh_shapes import icosphere
 from optional import break_library, import_or_skip
@@ -47,7 +48,9 @@ def test_line_ends_of_old_macs(tmp_path, name):
 
 @pytest.fixture
 def trimesh():
-    return import_or_skip("trimesh")
+    """Let trimesh read files in this process; other tests show that the child process protects it."""
+    with libraries_read_here():
+        yield import_or_skip("trimesh")
 
 
 @pytest.mark.usefixtures("trimesh")
@@ -154,8 +157,8 @@ def test_concave_polygons_keep_their_area(tmp_path):
             assert len(np.unique(mesh.normals().round(12), axis=0)) == 1
 
 
+@pytest.mark.usefixtures("trimesh")
 def test_morph_targets_are_named(tmp_path):
-    import_or_skip("trimesh")
     path, notes = tmp_path / "a.glb", []
     primitive = {"attributes": {"POSITION": 0}, "indices": 1, "targets": [{"POSITION": 0}]}
     path.write_bytes(glb_parts((4, VERTICES, FACES.ravel()), meshes=[{"primitives": [primitive], "weights": [1.0]}]))
@@ -315,8 +318,8 @@ def test_files_that_trimesh_refuses(tmp_path, name, data):
     read_error(path)
 
 
-@pytest.mark.usefixtures("trimesh")
 def test_crash_hang_or_memory_growth_gives_a_one_line_error(tmp_path, monkeypatch):
+    import_or_skip("trimesh")
     path = tmp_path / "a.glb"
     path.write_bytes(glb())
     child = tmp_path / "child.py"
@@ -335,6 +338,7 @@ def test_crash_hang_or_memory_growth_gives_a_one_line_error(tmp_path, monkeypatc
 
 
 def check_damaged_glb(tmp_path, count, seed):
+    import_or_skip("trimesh")
     rng = random.Random(seed)
     for _ in range(count):
         data = bytearray(damage(glb(), rng))
@@ -346,12 +350,10 @@ def check_damaged_glb(tmp_path, count, seed):
             assert str(error).startswith(f"{tmp_path / 'a.glb'}: ") and str(error).isprintable()
 
 
-@pytest.mark.usefixtures("trimesh")
 def test_damaged_glb(tmp_path):
     check_damaged_glb(tmp_path, 20, 1)  # a valid header starts a child process
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("trimesh")
 def test_many_damaged_glb(tmp_path):
     check_damaged_glb(tmp_path, 500, 2)

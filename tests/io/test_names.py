@@ -29,7 +29,10 @@ SCALES = {
     "double": ("double F8", (0.2, 0.0, 0.4), [51, 0, 102]),
     "interpolated": ("float F4", (1.02, -1e-7, 0.4), [255, 0, 102]),
 }
-UNSCALED = {"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)}
+UNSCALED = {
+    **{"float F4": (300.0, 0.0, 7.0), "short I2": (-1, 0, 7), "double F8": (float("nan"), 0.0, 1.0)},
+    **{"uint U4": (300, 0, 7), "int16 I2": (300, 0, 7)},  # only unsigned numbers of 16 bits may be as small
+}
 
 
 def read(path, data, **options):

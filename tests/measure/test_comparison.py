@@ -227,6 +227,17 @@ def test_differences_between_candidates():
     assert d1["good", "same"].interval.low < 0 < d1["good", "same"].interval.high
 
 
+def test_errors_common_to_two_candidates_cancel_in_their_difference():
+    grid, rng = shapes.plane_grid(40), np.random.default_rng(8)
+    heights = rng.normal(0, 0.1, len(grid))
+    a, b = (grid + (heights * factor)[:, None] * [0, 0, 1.0] for factor in (1.0, 1.01))
+    result = compare(grid, {"a": a, "b": b}, NO_REGISTRATION)
+    d1 = next(row for row in result.differences if row.metric == f"d1_mse/{CANDIDATE_TO_REFERENCE}")
+    # The squares differ by 2 %, so the interval of their difference is about 2 % as wide as theirs.
+    own, paired = (score.interval.high - score.interval.low for score in (result["a"].metrics.d1_mse.accuracy, d1))
+    assert paired == pytest.approx(0.02 * own, rel=0.1)
+
+
 def test_results_do_not_depend_on_other_candidates(pair):
     reference, candidate = pair
     single = document(compare(reference, {"x": candidate}, NO_REGISTRATION))

@@ -8,7 +8,7 @@ from repository import ROOT
 from wording import check_text
 
 from pcbench import Similarity
-from pcbench.registration import register
+from pcbench.registration import contrast, register
 from pcbench.registration.result import DOUBTFUL_POSE, LOW_OVERLAP, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.scenes.synthetic import city
 
@@ -128,6 +128,25 @@ def test_exact_copies_have_no_warnings():
         registration = register(points, true_pose.inverse().apply(points[::3]), "similarity")
         assert registration.rmse < 1e-12
         assert not registration.warnings
+
+
+def test_displacements_have_one_size_at_the_radius():
+    radius, center = 20.0, np.array([5.0, -3.0, 1.0])
+    points = center + radius * np.concatenate([np.eye(3), -np.eye(3)])  # four are off each axis
+    displaced = contrast._displaced_points(points, center, 0.1, radius, 7).reshape(15, 6, 3)
+    lengths = np.sqrt(np.square(displaced - displaced[0]).sum(axis=2).max(axis=1))
+    assert lengths[0] == 0
+    np.testing.assert_allclose(lengths[1:], 0.1, rtol=0.01)  # chords and logarithms differ by half the ratio, 1/200
+    np.testing.assert_allclose((displaced[1::2] + displaced[2::2]) / 2, np.broadcast_to(points, (7, 6, 3)), atol=1e-3)
+
+
+def test_added_noise_is_the_difference_of_the_variances():
+    rng, grid = np.random.default_rng(0), shapes.plane_grid(40)
+    candidate, reference = (grid + rng.normal(0, sigma, len(grid))[:, None] * [0, 0, 1] for sigma in (0.05, 0.03))
+    # Roughness includes the noise of the planes, a factor of both; each is known to 3 % from 1600 points.
+    factor = contrast.roughness(reference) / 0.03
+    assert contrast._added_noise(candidate, reference) == pytest.approx(0.04 * factor, rel=0.15)
+    assert contrast._added_noise(reference, candidate) == 0
 
 
 def test_few_points_have_no_contrast():

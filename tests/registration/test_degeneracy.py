@@ -1,14 +1,14 @@
 """Unobservable motions are reported, and observable ones scatter as predicted."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import shapes
 from registrations import motion
 from wording import check_text
 
-from pcbench.registration import (
-    register,
-)
+from pcbench.registration import degeneracy, register
 from pcbench.registration.result import SCALE_MISSING, UNKNOWN_SCALE, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.scenes.synthetic import city
 
@@ -83,6 +83,17 @@ def test_a_solved_scale_that_the_geometry_does_not_fix_is_doubtful(seed):
     assert result.doubts[0].code == UNKNOWN_SCALE
     check_text(result.doubts[0].text)
     assert UNKNOWN_SCALE not in [notice.code for notice in register(*clouds).warnings]
+
+
+def test_the_slope_of_the_robust_residual_is_its_derivative():
+    residuals, step = np.linspace(0, 0.99, 100), 1e-6  # over the width of Tukey's weight
+
+    def robust(r):
+        return (1 - r**2) ** 2 * r
+
+    slope = degeneracy._tukey_slope(SimpleNamespace(weights=(1 - residuals**2) ** 2))
+    # Rounding divided by the step is 1e-10, curvature times its square 1e-11.
+    np.testing.assert_allclose(slope, (robust(residuals + step) - robust(residuals - step)) / (2 * step), atol=1e-9)
 
 
 @pytest.mark.parametrize(("noise", "is_weak"), [(0.15, False), (0.3, True)])

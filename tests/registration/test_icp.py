@@ -1,5 +1,7 @@
 """ICP: recovers known motions, with or without an initial pose, and reports failures."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import shapes
@@ -10,7 +12,7 @@ from wording import check_error
 
 from pcbench import Similarity, read_cloud
 from pcbench.errors import RegistrationError
-from pcbench.registration import IcpSettings, icp_stages, register
+from pcbench.registration import IcpSettings, icp, icp_stages, register
 from pcbench.registration.result import NO_CONVERGENCE, OFF_SURFACE
 
 
@@ -201,3 +203,24 @@ def test_the_pseudo_inverse_is_that_of_numpy_to_the_last_bit(rank):
         matrix = rows.T @ rows
         expected = np.linalg.pinv(matrix, rcond=1e-10, hermitian=True)
         np.testing.assert_array_equal(icp_stages._pseudo_inverse(matrix), expected)
+
+
+@pytest.mark.parametrize(
+    ("qualities", "best"),
+    [
+        ([(0.9, 0.4), (0.7, 0.3), (0.5, 0.4)], 0),
+        ([(0.4, 0.3), (0.9, 0.3), (0.8, 0.4)], 1),
+        ([(0.9, 0.5), (0.8, 0.0), (1.0, 0.0)], 1),  # no point off the surface: the third start is not needed
+        ([None, (0.5, 0.4), None], 1),  # no overlap from the other starts
+    ],
+)
+def test_the_start_with_the_largest_overlap_less_points_off_the_surface_is_kept(monkeypatch, qualities, best):
+    def fit(_, start, free):
+        if qualities[start] is None:
+            raise RegistrationError("the candidate does not overlap the reference")
+        overlap, off_surface = qualities[start]
+        return SimpleNamespace(quality=SimpleNamespace(overlap=overlap, off_surface=off_surface))
+
+    monkeypatch.setattr(icp, "_fit_and_assess", fit)
+    problem = SimpleNamespace(settings=SimpleNamespace(with_scale=False))
+    assert icp._best_start(problem, (0, 1, 2))[0] == best

@@ -7,6 +7,7 @@ from registrations import motion
 
 from pcbench import Cloud, Similarity
 from pcbench.registration import GivenPose, register
+from pcbench.registration.motion import MotionFrame, PoseCovariance, RemovedMotion
 
 UTM = np.array([512_000.0, 5_400_000.0, 300.0])
 
@@ -61,6 +62,15 @@ def test_errors_along_unobservable_motions_are_infinite():
     # The mean of 8,000 heights, as far as the errors of planes of 20,000 points are smaller.
     assert found.size == pytest.approx(0.1, abs=0.003)
     assert found.half_width < 0.003
+
+
+def test_the_error_of_a_shift_does_not_depend_on_its_size():
+    frame = MotionFrame.of(np.array([[-2.0, 5, 0], [2, 5, 0]]), np.array([1.0, 1.0]))
+    assert (frame.center.tolist(), frame.radius) == ([0, 5, 0], 2)
+    covariance = PoseCovariance(frame, np.diag([0.0, 0, 0, 4, 9, 9]) * 1e-4, np.zeros((6, 0)))
+    for size in (0.5, 5.0):
+        found = RemovedMotion.of(Similarity(np.eye(3), np.array([size, 0.0, 0.0])), covariance, noise=0.0)
+        assert (found.size, found.size_sigma) == (pytest.approx(size), pytest.approx(0.02))
 
 
 def test_a_given_pose_removes_no_motion():

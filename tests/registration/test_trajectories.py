@@ -173,3 +173,9 @@ def test_the_registration_is_described(scene, tmp_path):
     folder, scan, candidate = scene
     method = parse_method(f"tnt:{tmp_path / 'mine.log'},{folder},{THRESHOLD}")
     check_text(register(scan, candidate, method))
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_enough_samples_contain_one_of_inliers_only(share):
+    count, miss = trajectories._samples_needed(share), 1 - share**trajectories._SAMPLE_SIZE
+    assert miss**count <= 1 - trajectories._CONFIDENCE < miss ** (count - 1)

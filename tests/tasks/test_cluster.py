@@ -25,11 +25,17 @@ from pcbench.errors import InputError, WorkerError
 from pcbench.tasks import Task, TaskRunner, Workers, cluster
 from pcbench.tasks.calls import ConnectionLost
 
-distributed = import_or_skip("distributed")
+
+@pytest.fixture(scope="module", autouse=True)
+def distributed():
+    """Import Dask, which takes half a second, only in the worker that runs these tests."""
+    return import_or_skip("distributed")
 
 
 def local_cluster(**options):
-    return distributed.LocalCluster(threads_per_worker=1, dashboard_address=":0", host="127.0.0.1", **options)
+    return import_or_skip("distributed").LocalCluster(
+        threads_per_worker=1, dashboard_address=":0", host="127.0.0.1", **options
+    )
 
 
 def with_threads(count):
@@ -158,7 +164,8 @@ def eager_collector():
 
 def unclosed():
     """Return the threads of event loops, and the clients that are not closed."""
-    clients = {item for item in gc.get_objects() if isinstance(item, distributed.Client) and item.status != "closed"}
+    client = import_or_skip("distributed").Client
+    clients = {item for item in gc.get_objects() if isinstance(item, client) and item.status != "closed"}
     return clients | {thread for thread in threading.enumerate() if thread.name == "IO loop"}
 
 

@@ -67,9 +67,15 @@ def test_triangulated_heights() -> None:
     points = _points(300)
     heights = surface_of(CellMoments(GRID, 0.0).add(points), GridMethod.TIN, points).heights.ravel()
     expected = LinearNDInterpolator(points[:, :2], points[:, 2])(GRID.centres())
-    both = np.isfinite(heights)
-    assert both.sum() > 90
-    np.testing.assert_allclose(heights[both], expected[both], atol=1e-9)
+    assert np.isfinite(heights).sum() > 90
+    np.testing.assert_allclose(heights, expected, atol=1e-9)  # no triangle of these points is long
+
+
+def test_each_triangle_has_heights() -> None:
+    grid = HeightGrid.over(np.zeros(2), np.full(2, 2 - 1e-6), 1.0)
+    points = np.array([[0.0, 0, 1], [2, 0, 5], [0, 2, -1], [2, 2, 3]])  # two triangles on a plane
+    heights = surface_of(CellMoments(grid, 0.0).add(points), GridMethod.TIN, points).heights
+    np.testing.assert_allclose(heights.ravel(), 1 + grid.centres() @ [2, -1], atol=1e-12)
 
 
 def test_slopes_of_a_plane_with_a_void() -> None:

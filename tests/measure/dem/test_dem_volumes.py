@@ -23,6 +23,14 @@ def test_exact_volume_without_noise(change) -> None:
     whole = whole_change(result)
     # Heights at 8 x 8 places of a cell: the rim of the cone and the edges of the others are cut at 1/8 m.
     assert whole.volumes.net.value == pytest.approx(EXACT_M3[change], rel=0.01, abs=1e-9)
+    # Without noise, each changed cell is detected.
+    heights = cell_sums(change)
+    sides = heights.clip(min=0).sum(), -heights.clip(max=0).sum()
+    detected = whole.detected.fill.value, whole.detected.cut.value, whole.detected.net.value
+    assert detected == pytest.approx((*sides, sides[0] - sides[1]), abs=1e-9)
+    assert whole.by_sign == pytest.approx(sides, abs=1e-9)
+    assert whole.mean.value == pytest.approx(heights.mean(), abs=1e-12)
+    assert whole.undetected_share == pytest.approx((heights == 0).mean())
 
 
 def test_without_a_model_of_errors_fill_and_cut_are_sums_by_sign() -> None:

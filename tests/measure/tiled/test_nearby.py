@@ -12,8 +12,10 @@ from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
 CLOUDS = dict(clouds_of_all_kinds(np.random.default_rng(0), 700))
 
 
-def tiled_index(folder, points):
+def tiled_index(folder, points, normals=None):
     tiles = stored_tiles(folder / "cloud", points, 100, piece_points=300)
+    for number in tiles.occupied if normals is not None else ():
+        np.save(tiles.file(number, tiles.normals), normals[tiles.load(number, "rows")])
     runner = ShuffledRunner(None, folder)
     runs, _ = stored_runs(folder / "again", points, piece_points=300)
     picker = Picker.of(PlacedRuns(runs, ORIGIN), runner, "rows", "key")
@@ -49,6 +51,16 @@ def test_planes_and_sampling_are_those_of_the_complete_cloud(tmp_path, kind):
     assert found.sampling == exact.sampling and found.k == exact.k
     np.testing.assert_array_equal(found.normals(numbers), exact.normals(rows))
     np.testing.assert_array_equal(found.variation(numbers), exact.variation(rows))
+
+
+def test_stored_normals_of_points_without_their_surroundings(tmp_path):
+    """At points whose coordinates alone are in memory, the normals are those of the tiles, not of fitted planes."""
+    rng = np.random.default_rng(3)
+    points, normals = CLOUDS["flat"], rng.normal(size=(len(CLOUDS["flat"]), 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    surface, rows = TiledSurface(tiled_index(tmp_path, points, normals=normals)), np.arange(0, len(points), 30)
+    numbers = surface.index.numbers_of(points[rows], rows, None)
+    np.testing.assert_array_equal(surface.normals(numbers), normals[rows])
 
 
 def test_repeated_and_near_queries_search_no_tile(tmp_path):

@@ -1,18 +1,12 @@
-import contextlib
-import io
-import os
-from pathlib import Path
-
 import pytest
 import shapes
 from benches import METHODS, RIG, TRUTH
+from children_here import reconstructing_here
 from optional import import_or_skip
 from partial_comparisons import skip_changes, skip_deformation
 
 from pcbench import Cloud, write_cloud
-from pcbench.children import ChildResult
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.plugins import describe_child, reconstruct_child
 from pcbench.studies.bench.truth import read_truth
 
 
@@ -45,15 +39,5 @@ def in_process(monkeypatch):
     skip_changes(monkeypatch)
     skip_deformation(monkeypatch)
 
-    def run_module(name, *arguments, limits, environment=None, log=None):
-        with io.TextIOWrapper(io.BytesIO() if log is None else io.FileIO(os.dup(log.fileno()), "w")) as output:
-            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-                if name == "pcbench.plugins.reconstruct_child":
-                    reconstruct_child.main(Path(arguments[0]))
-                else:
-                    describe_child.main(arguments[0], Path(arguments[1]))
-        return ChildResult(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
-
-    # The code of the child process does not belong to the inputs of this run.
-    monkeypatch.setattr(reconstruct_child, "register_plugin_code", lambda module: None)
-    monkeypatch.setattr("pcbench.plugins.run.run_module", run_module)
+    with reconstructing_here():
+        yield

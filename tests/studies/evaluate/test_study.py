@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from html_pages import HOSTILE, Page
 from optional import import_or_skip
+from task_pools import tasks_in_process  # noqa: F401  # a fixture
 from wording import check_error, check_text
 
 import pcbench
@@ -108,7 +109,8 @@ def test_tables_are_tidy(finished):
     assert pivot.mean().to_dict() == pytest.approx(chamfer.to_dict())
 
 
-def test_finished_pairs_are_not_evaluated_again(finished, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("tasks_in_process")
+def test_finished_pairs_are_not_evaluated_again(finished, tmp_path):
     reference, _ = write_scenes(tmp_path, 2, {"good": 0.01})
     arguments = {"protocol": "open3d", "workers": 1, "out": tmp_path / "out"}
     pattern = str(tmp_path / "good" / "{scene}.npy")
@@ -123,6 +125,7 @@ def test_finished_pairs_are_not_evaluated_again(finished, tmp_path, monkeypatch)
     assert third.pairs[0].scores != first.pairs[0].scores
 
 
+@pytest.mark.usefixtures("tasks_in_process")
 def test_files_beside_the_inputs_are_inputs_of_a_resumed_run(tmp_path):
     barn = tmp_path / "Barn"
     barn.mkdir()
@@ -144,7 +147,8 @@ def test_files_beside_the_inputs_are_inputs_of_a_resumed_run(tmp_path):
     assert points_inside(2.0) > 1.5 * points_inside(0.5)
 
 
-def test_a_pair_that_fails_is_a_row(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("tasks_in_process")
+def test_a_pair_that_fails_is_a_row(tmp_path):
     reference, _ = write_scenes(tmp_path, 2)
     (tmp_path / "bad" / "s0.npy").write_bytes(b"no array")
     (tmp_path / "bad" / "s1.npy").unlink()
