@@ -102,6 +102,12 @@ def normal_equations(positions: Annotated[NDArray[numpy.float64], dict(shape=(No
     w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).
     """
 
+def whole_normal_equations(positions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], residuals: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.int64], dict(shape=(3, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.int64], dict(shape=(4, 20, 3), order='C', device='cpu')]) -> None:
+    """
+    The sums of normal_equations over pairs of weight 1 in whole numbers, added to moments (3, 84, 6) and scores
+    (4, 20, 3): digits of base 2^20 in units of 2^-80, the lowest one first. Factors are rounded to 2^-40.
+    """
+
 class MeshIndex:
     """A box tree over triangles. The caller checks that vertices are finite."""
 

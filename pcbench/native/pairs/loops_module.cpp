@@ -157,14 +157,9 @@ double plane_system(Points moved, Points normals, Indices rows, Column residuals
     return system.radius;
 }
 
-void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts,
-                      In<int64_t, nb::shape<pcbench::kProducts - 1, 2>> steps,
-                      Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
-                      Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
-    const size_t count = positions.shape(0), groups = starts.shape(0);
-    check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
-          "normal_equations: expected one row of every argument for each pair");
-    check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: expected one result per group");
+using Steps = In<int64_t, nb::shape<pcbench::kProducts - 1, 2>>;
+
+std::array<pcbench::MonomialStep, pcbench::kProducts - 1> monomial_steps(Steps steps) {
     std::array<pcbench::MonomialStep, pcbench::kProducts - 1> step;
     for (size_t a = 0; a < step.size(); ++a) {
         step[a] = {steps.data()[2 * a], steps.data()[2 * a + 1]};
@@ -172,6 +167,17 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
             0 <= step[a].earlier && step[a].earlier <= static_cast<int64_t>(a) && 0 <= step[a].axis && step[a].axis < 3,
             "normal_equations: expected each monomial as an earlier one times a coordinate");
     }
+    return step;
+}
+
+void normal_equations(Points positions, Points normals, Column weights, Column residuals, Indices starts, Steps steps,
+                      Out<double, nb::shape<-1, pcbench::kProducts, 6>> moments,
+                      Out<double, nb::shape<-1, pcbench::kMonomials, 3>> scores) {
+    const size_t count = positions.shape(0), groups = starts.shape(0);
+    check(normals.shape(0) == count && weights.shape(0) == count && residuals.shape(0) == count,
+          "normal_equations: expected one row of every argument for each pair");
+    check(moments.shape(0) == groups && scores.shape(0) == groups, "normal_equations: expected one result per group");
+    const auto step = monomial_steps(steps);
     std::vector<size_t> bounds(starts.data(), starts.data() + groups);
     bounds.push_back(count);
     check(std::is_sorted(bounds.begin(), bounds.end()), "normal_equations: expected ascending starts of groups");
@@ -181,6 +187,18 @@ void normal_equations(Points positions, Points normals, Column weights, Column r
         pcbench::kernels().normal_equations(bounds[g], bounds[g + 1], positions.data(), normals.data(), weights.data(),
                                             residuals.data(), step.data(), moments.data() + g * pcbench::kProducts * 6,
                                             scores.data() + g * pcbench::kMonomials * 3);
+}
+
+void whole_normal_equations(Points positions, Points normals, Column residuals, Steps steps,
+                            Out<int64_t, nb::shape<3, pcbench::kProducts, 6>> moments,
+                            Out<int64_t, nb::shape<4, pcbench::kMonomials, 3>> scores) {
+    const size_t count = positions.shape(0);
+    check(normals.shape(0) == count && residuals.shape(0) == count && count <= pcbench::kMaxWholePairs,
+          "whole_normal_equations: expected one row of every argument for each of at most 2^20 pairs");
+    const auto step = monomial_steps(steps);
+    const nb::gil_scoped_release release;
+    pcbench::kernels().whole_normal_equations(count, positions.data(), normals.data(), residuals.data(), step.data(),
+                                              moments.data(), scores.data());
 }
 
 }  // namespace
@@ -244,4 +262,10 @@ void bind_loops(nb::module_& m) {
         nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
         "Sums over groups of pairs, written in place: moments (G, 84, 6) of w phi n n' and scores (G, 20, 3) of\n"
         "w phi n r. Each monomial phi but the first is an earlier one times a coordinate, as given by steps (83, 2).");
+    m.def(
+        "whole_normal_equations", &whole_normal_equations, nb::arg("positions").noconvert(),
+        nb::arg("normals").noconvert(), nb::arg("residuals").noconvert(), nb::arg("steps").noconvert(),
+        nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+        "The sums of normal_equations over pairs of weight 1 in whole numbers, added to moments (3, 84, 6) and scores\n"
+        "(4, 20, 3): digits of base 2^20 in units of 2^-80, the lowest one first. Factors are rounded to 2^-40.");
 }
