@@ -1,6 +1,6 @@
 """Compiled kernels of pcbench; use the Python modules that wrap them."""
 
-from typing import Annotated
+from typing import Annotated, overload
 
 import numpy
 from numpy.typing import NDArray
@@ -12,7 +12,15 @@ def isa() -> str:
 class PointIndex:
     """A search tree over points. Results are written into the given arrays."""
 
+    @overload
     def __init__(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> None: ...
+
+    @overload
+    def __init__(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], tree: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """The index of these points whose tree was stored."""
+
+    def store(self, tree: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """Write the tree into an array of as many bytes as it has."""
 
     @property
     def bytes(self) -> int:

@@ -23,11 +23,10 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
 from pcbench.geometry.voxels import cells
-from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.even import PickedPoints, Picker
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.search import nearest_in_tiles
-from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary
+from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary, save_points
 from pcbench.tasks import Task, TaskRunner
 from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import read_shared, write_result
@@ -98,8 +97,7 @@ def thin_tile(file: Path, key: str, number: int, share: float, seed: int, folder
     if not len(kept):
         return TileSummary.empty(number)
     points = cloud.load(number, "points")[kept]
-    save_column(folder, number, "points", points)
-    save_column(folder, number, "rows", rows[kept])
+    save_points(folder, number, points, rows[kept])
     return TileSummary.of(number, points, points)
 
 
@@ -129,8 +127,7 @@ def displace_tile(file: Path, key: str, number: int, displacement: Displacement,
     cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
     points = points - displacement(points)
-    save_column(folder, number, "points", points)
-    save_column(folder, number, "rows", cloud.load(number, "rows"))
+    save_points(folder, number, points, cloud.load(number, "rows"))
     return TileSummary.of(number, points, points)
 
 
