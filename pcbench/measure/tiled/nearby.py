@@ -23,7 +23,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
 from pcbench.geometry.voxels import cells
-from pcbench.measure.tiled.even import PickedPoints, Picker
+from pcbench.measure.tiled.even import PickedPoints
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary, save_points
@@ -131,6 +131,14 @@ def displace_tile(file: Path, key: str, number: int, displacement: Displacement,
     return TileSummary.of(number, points, points)
 
 
+def every_of_tile(file: Path, key: str, number: int, step: int) -> PickedPoints:
+    """Return the points of a tile whose rows in the cloud are multiples of a step."""
+    cloud = read_shared(file, key, TiledCloud)
+    rows = cloud.open(number, "rows")
+    some = np.flatnonzero(rows % step == 0)
+    return PickedPoints(cloud.open(number, "points").take(some, axis=0), rows.take(some), None)
+
+
 class TiledIndex(Index):
     """An index of a cloud in tiles, of which only the points around earlier queries are in memory.
 
@@ -139,7 +147,6 @@ class TiledIndex(Index):
     Args:
         cloud: the cloud in tiles.
         file: file for it, which tasks share.
-        picker: picks points of the cloud by their rows; None: `every` is not called.
         runner: runs the searches.
         stage: start of the names of the stages.
         key: identifies the cloud.
@@ -150,7 +157,6 @@ class TiledIndex(Index):
         self,
         cloud: TiledCloud,
         file: Path,
-        picker: Picker | None,
         runner: TaskRunner,
         stage: str,
         key: str,
@@ -158,7 +164,7 @@ class TiledIndex(Index):
         is_reused: bool = True,
     ) -> None:
         self._is_reused = is_reused
-        self._cloud, self._file, self._picker = cloud, file, picker
+        self._cloud, self._file = cloud, file
         self._runner, self._stage, self._key = runner, stage, key
         write_result(file, key, cloud)
         self.points = np.zeros((0, 3))
@@ -177,21 +183,25 @@ class TiledIndex(Index):
 
     def every(self, step: int) -> FloatArray:
         """Return every `step`-th point (M, 3) of the complete cloud, from the first one on."""
-        assert self._picker is not None
-        return self._picker.every(step).points
+        tasks, title = self._tile_tasks(step), "picking points"
+        results = self._runner.run(f"{self._stage}-every-{step}", every_of_tile, tasks, key=self._key, title=title)
+        parts = [picked for _, picked in results]
+        order = np.argsort(np.concatenate([part.rows for part in parts]))
+        points: FloatArray = np.concatenate([part.points for part in parts])[order]
+        return points
 
     def thinned(self, share: float, seed: int) -> TiledIndex:
         """Return an index of a random share of the complete cloud; see `Index.thinned`."""
         name, key = f"{self._stage}-thinned", f"{self._key}{share}"
         cloud = self._other_tiles(name, key, thin_tile, share, seed)
-        return TiledIndex(cloud, cloud.folder / "cloud.tiles", None, self._runner, name, key)
+        return TiledIndex(cloud, cloud.folder / "cloud.tiles", self._runner, name, key)
 
-    def displaced(self, displacement: Displacement, picker: Picker) -> TiledIndex:
-        """Return an index of the cloud after a displacement was removed; the picker picks its points."""
+    def displaced(self, displacement: Displacement) -> TiledIndex:
+        """Return an index of the cloud after a displacement was removed."""
         name, key = f"{self._stage}-displaced", f"{self._key}{fingerprint(displacement)}"
         cloud = self._other_tiles(name, key, displace_tile, displacement)
         file = cloud.folder / "cloud.tiles"
-        return TiledIndex(cloud, file, picker, self._runner, name, key, is_reused=False)
+        return TiledIndex(cloud, file, self._runner, name, key, is_reused=False)
 
     def _other_tiles(self, name: str, key: str, function: Callable[..., TileSummary], *arguments: Any) -> TiledCloud:
         """Store points of all tiles as those of another cloud, which has no normals."""
@@ -236,7 +246,7 @@ class TiledIndex(Index):
             name: what they are for, which is in the names of its stages.
         """
         stage = f"{self._stage}-{name}"
-        return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
+        return TiledIndex(self._cloud, self._file, self._runner, stage, self._key, is_reused=False)
 
     def numbers_of(self, points: FloatArray, rows: IntArray, classes: NDArray[np.uint8] | None) -> IntArray:
         """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
