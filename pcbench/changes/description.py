@@ -25,6 +25,8 @@ _MIN_COVERED_SHARE = 0.5
 _MIN_FOOTPRINT_SHARE = 0.4  # of the occupied cells: those of narrow parts lie along the outline
 _MIN_FACING = 0.8  # of the distance to the nearest point, along the normal: it lies straight below or above
 _PEAK_SHARE = 0.999
+_DIRECTIONS = 16  # in which the farthest points are corners of a polygon, whose inner points are no part of the outline
+_ROUNDING = 1e-12  # of an area, beyond which a point lies inside
 _MIN_RELIEF = 4.0  # height of an object above its surroundings, in voxels
 
 
@@ -362,7 +364,7 @@ def _is_visible(shown: Shown, other: Sample, up: FloatArray, side: float) -> boo
 
 def convex_outline(points: FloatArray) -> tuple[tuple[float, float], ...]:
     """Return the corners of the convex hull of points (N, 2), counter-clockwise (Andrew's monotone chain, 1979)."""
-    ordered = np.unique(points, axis=0)
+    ordered = np.unique(_outer_points(points), axis=0)
     if len(ordered) < 3:
         return tuple((float(x), float(y)) for x, y in ordered)
     halves = []
@@ -374,6 +376,24 @@ def convex_outline(points: FloatArray) -> tuple[tuple[float, float], ...]:
             hull.append(point)
         halves.append(hull[:-1])
     return tuple((float(x), float(y)) for x, y in halves[0] + halves[1])
+
+
+def _outer_points(points: FloatArray) -> FloatArray:
+    """Return the points (M, 2) of (N, 2) that may be corners of the convex hull.
+
+    A point inside a polygon of other points is none (Akl and Toussaint 1978, "A fast convex hull algorithm"). The
+    polygon's corners are farthest in sixteen directions, counter-clockwise.
+    """
+    angles = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    corners = points[np.argmax(points @ np.stack([np.cos(angles), np.sin(angles)]), axis=0)]
+    area = float(np.prod(corners.max(axis=0) - corners.min(axis=0)))
+    inside = np.full(len(points), area > 0)
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if (start != end).any():
+            along, away = end - start, points - start
+            inside &= along[0] * away[:, 1] - along[1] * away[:, 0] > _ROUNDING * area
+    outer: FloatArray = points[~inside]
+    return outer
 
 
 def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:

@@ -108,7 +108,9 @@ def find_offsets(sample: Sample, offsets: Offsets, least_error: float = 0.0) -> 
         off = tested & (size >= _MIN_Z * error) & (size >= np.maximum(_MIN_SIGMAS * sigma, _MIN_OWN_RATIO * own))
         hit = off[cell_of_point] & (level * np.sign(median[cell_of_point]) >= _MIN_LEVEL_SHARE * size[cell_of_point])
         is_off |= hit
-        p[hit] = np.minimum(p[hit], _two_sided_p((size / error)[cell_of_point[hit]]))
+        p_of_cell = np.ones(count)
+        p_of_cell[off] = _two_sided_p((size / error)[off])
+        p[hit] = np.minimum(p[hit], p_of_cell[cell_of_point[hit]])
         side *= 2
     return OffsetTest(is_off, p, typical_noise, widths[min(1, len(widths) - 1)])
 

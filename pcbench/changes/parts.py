@@ -13,8 +13,11 @@ from pcbench.changes.presence import BALLS, Absence
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.voxels import cells
 
 _LINK = 4.0  # largest gap between points of one part, in voxels of the samples
+_CELL_SIDE = 0.57  # of cells whose points are all near each other, in these gaps: less than the root of a third
+_LINKED_AT_ONCE = 2_048  # points whose links are in memory: each has about a hundred on a surface
 _MIN_POINTS = 12  # sampled points of each cloud that lie off the other's surface in one part
 # Points of a small part that lie off the surface and that have no counterparts: if it moved farther than its size, only
 # one cloud shows its offset.
@@ -69,12 +72,13 @@ def connected_parts(samples: Sequence[Sample], evidence: Sequence[PointTests]) -
     starts, total = (0, len(rows[0])), sum(map(len, rows))
     if total == 0:
         return
-    links = [_links_within(sample, r) + start for sample, r, start in zip(samples, rows, starts, strict=True)]
+    labels = np.arange(total)
+    for sample, r, start in zip(samples, rows, starts, strict=True):
+        for links in _links_within(sample, r):
+            labels = _joined(labels, links + start)
     for own, other in ((0, 1), (1, 0)):
-        link = _links_across(samples[own], samples[other], rows[own], rows[other])
-        links.append(link + np.array([[starts[own]], [starts[other]]]))
-    edges = np.concatenate(links, axis=1)
-    labels = _components(edges, total)
+        links = _links_across(samples[own], samples[other], rows[own], rows[other])
+        labels = _joined(labels, links + np.array([[starts[own]], [starts[other]]]))
     order = np.argsort(labels, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         split = int(np.searchsorted(members, starts[1]))
@@ -83,28 +87,31 @@ def connected_parts(samples: Sequence[Sample], evidence: Sequence[PointTests]) -
             yield part
 
 
-def _components(edges: IntArray, count: int) -> IntArray:
-    """Return labels (N,) of the connected components of a graph of N nodes with edges (2, E): their lowest node."""
-    labels = np.arange(count)
-    while True:
-        low = np.minimum(labels[edges[0]], labels[edges[1]])
-        before = labels.copy()
-        for ends in edges:
-            np.minimum.at(labels, before[ends], low)  # of the node that stands for a component so far
-            np.minimum.at(labels, ends, low)
+def _joined(labels: IntArray, links: IntArray) -> IntArray:
+    """Return the labels (N,) of nodes by the lowest node of their component, after more links (2, E) joined them."""
+    labels = labels.copy()
+    while len(links[0]):
+        ends = labels[links]
+        apart = np.flatnonzero(ends[0] != ends[1])
+        links, ends = links[:, apart], ends[:, apart]
+        np.minimum.at(labels, ends.max(axis=0), ends.min(axis=0))
         while not np.array_equal(labels, labels[labels]):
             labels = labels[labels]
-        if np.array_equal(labels, before):
-            return labels
+    return labels
 
 
-def _links_within(sample: Sample, rows: IntArray) -> IntArray:
-    """Return (2, E) pairs of flagged points of one sample that are near each other."""
+def _links_within(sample: Sample, rows: IntArray) -> Iterator[IntArray]:
+    """Yield (2, E) pairs of flagged points of one sample that are near each other, which connect all that are."""
     if not len(rows):
-        return np.empty((2, 0), np.int64)
-    points = sample.points[rows]
-    near = Index(points).query_radius(points, _LINK * sample.side)
-    return np.stack([np.repeat(np.arange(len(rows)), near.counts), near.indices])
+        return
+    points, gap = sample.points[rows], _LINK * sample.side
+    grid = cells(points, _CELL_SIDE * gap)
+    yield np.stack([np.arange(len(rows)), grid.first[grid.of_point]])
+    index = Index(points)
+    for start in range(0, len(rows), _LINKED_AT_ONCE):
+        near = index.query_radius(points[start : start + _LINKED_AT_ONCE], gap)
+        pairs = np.stack([np.repeat(np.arange(len(near.counts)) + start, near.counts), near.indices])
+        yield pairs[:, pairs[1] < pairs[0]]
 
 
 def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArray) -> IntArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,7 @@ _DERIVATIVES = np.array(
     ]
 )
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_DIGIT = 2.0**20  # base of digits: a sum of 4,096 products of two of them stays below 2^53
-_EXACT_PAIRS = 4_096
+_DIGIT_BITS = 20  # of whole numbers
 _GROUP_PAIRS = 65_536
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
@@ -133,8 +132,10 @@ def equal_normal_equations(planes: Planes, distances: FloatArray, queries: IntAr
 
 def whole_normal_equations(
     planes: Planes, distances: FloatArray, queries: IntArray
-) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Accumulate normal equations of pairs of equal weight, in whole numbers: in any order, they add up to the same.
+
+    Monomials, products of normals and loads are rounded to multiples of 2^-40.
 
     Args:
         planes: places, from -1 to 1 in the unit of their radius, and normals.
@@ -142,40 +143,38 @@ def whole_normal_equations(
         queries: (N,) rows of the distances that count.
 
     Returns:
-        Moments (3, 84, 6) and scores (4, 20, 3) as from `normal_equations`, as digits, see `value_of_digits`.
+        Moments (4, 84, 6) and scores (5, 20, 3) as from `normal_equations`, as digits, see `value_of_digits`.
     """
-    moments, scores = np.zeros((3, len(_PRODUCTS), 6), object), np.zeros((4, len(EXPONENTS), 3), object)
-    rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-    for start in range(0, len(queries), _EXACT_PAIRS):
-        some = queries[start : start + _EXACT_PAIRS]
-        place = some if planes.rows is None else planes.rows[some]
-        here, n = (planes.places[place] - planes.center) / planes.radius, planes.normals[place]
-        values = _digits(monomials(here, len(_PRODUCTS)), 2)
-        loads = _digits((distances[some] / planes.radius)[:, None] * n, 3)
-        products = _digits(n[:, rows] * n[:, columns], 2)
-        for i, value in enumerate(values):
-            for j, digit in enumerate(products):
-                moments[i + j] += (value @ digit).astype(np.int64)
-            for j, digit in enumerate(loads):
-                scores[i + j] += (value[: len(EXPONENTS)] @ digit).astype(np.int64)
+    moments, scores = np.zeros((4, len(_PRODUCTS), 6), np.int64), np.zeros((5, len(EXPONENTS), 3), np.int64)
+    for start in range(0, len(queries), _GROUP_PAIRS):
+        some = queries[start : start + _GROUP_PAIRS]
+        rows = some if planes.rows is None else planes.rows[some]
+        here = (planes.places[rows] - planes.center) / planes.radius
+        of_group = np.zeros_like(moments[1:]), np.zeros_like(scores[1:])
+        _core.whole_normal_equations(
+            here, planes.normals[rows], distances[some] / planes.radius, np.array(_RECURRENCE), *of_group
+        )
+        moments += _carried(of_group[0])
+        scores += _carried(of_group[1])
     return moments, scores
 
 
-def _digits(values: FloatArray, count: int) -> list[FloatArray]:
-    """Return digits of values, in units of 2^-40, the lowest one first: the sum of products of 4,096 is exact."""
-    rest, digits = np.rint(values * _DIGIT**2), []
-    for _ in range(count - 1):
-        higher = np.floor(rest / _DIGIT)
-        digits.append(rest - higher * _DIGIT)
-        rest = higher
-    return [*digits, rest]
+def _carried(sums: IntArray) -> IntArray:
+    """Return sums (D, ...) with one digit more; all but the last lie below the base, so that billions can be added."""
+    digits = np.concatenate([sums, np.zeros_like(sums[:1])])
+    for k in range(len(sums)):
+        digits[k + 1] += digits[k] >> _DIGIT_BITS
+        digits[k] &= (1 << _DIGIT_BITS) - 1
+    return digits
 
 
-def value_of_digits(digits: NDArray[Any]) -> FloatArray:
-    """Return the values (...) of products whose digits (D, ...) were added up, the lowest one first."""
-    base = int(_DIGIT)
-    total = sum(digit.astype(object) * base**power for power, digit in enumerate(digits))
-    values: FloatArray = np.asarray(total / base**4).astype(np.float64)
+def value_of_digits(digits: IntArray) -> FloatArray:
+    """Return the values (...) of sums in units of 2^-80, or of sums of these, from their digits (D, ...) of base 2^20.
+
+    The lowest digit is the first one.
+    """
+    total = sum(digit.astype(object) << _DIGIT_BITS * power for power, digit in enumerate(digits))
+    values: FloatArray = np.asarray(total / (1 << 4 * _DIGIT_BITS)).astype(np.float64)
     return values
 
 

@@ -84,6 +84,24 @@ class Index:
         except ValueError as error:
             _raise_bad_coordinates(error, rows, "points")
 
+    @classmethod
+    def stored(cls, points: NDArray[np.float64], tree: NDArray[np.float64]) -> "Index":
+        """Return the index of points (N, 3) from its `tree`, without building it; both may be mapped from files.
+
+        Raises:
+            ValueError: the tree has another size, or does not lie at a multiple of 32 bytes.
+        """
+        index = cls.__new__(cls)
+        index.points, index._tree = points, _core.PointIndex(points, tree)
+        return index
+
+    @property
+    def tree(self) -> NDArray[np.float64]:
+        """The search tree as an array of numbers, to be stored."""
+        memory = np.empty(self.nbytes // 8)
+        self._tree.store(memory)
+        return memory
+
     def __len__(self) -> int:
         return len(self.points)
 

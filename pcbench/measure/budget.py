@@ -157,8 +157,8 @@ class BudgetSums:
     Attributes:
         counts: (2 + C,) number of queries without a counterpart, of stable ones, and of those of each change.
         squares: (2 + C,) sums of their squared distances.
-        moments: (84, 6) moments of the stable queries, or (3, 84, 6) in whole numbers.
-        scores: (20, 3) their scores, or (4, 20, 3) in whole numbers.
+        moments: (84, 6) moments of the stable queries, or (4, 84, 6) in whole numbers.
+        scores: (20, 3) their scores, or (5, 20, 3) in whole numbers.
     """
 
     counts: IntArray
@@ -196,8 +196,8 @@ def sum_queries(
         labels: (M,) number of the change of each query, `STABLE` or `UNMATCHED`.
         changes: number of changes.
         frame: frame of the places.
-        equations: function that accumulates the normal equations; `whole_normal_equations` takes much longer, and gives
-            sums that do not depend on the order of queries and pieces.
+        equations: function that accumulates the normal equations; the sums of `whole_normal_equations` do not depend
+            on the order of queries and pieces.
     """
     size = FIRST + changes
     counts, squares = np.zeros(size, np.int64), np.zeros(size)

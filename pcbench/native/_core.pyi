@@ -1,6 +1,6 @@
 """Compiled kernels of pcbench; use the Python modules that wrap them."""
 
-from typing import Annotated
+from typing import Annotated, overload
 
 import numpy
 from numpy.typing import NDArray
@@ -12,7 +12,15 @@ def isa() -> str:
 class PointIndex:
     """A search tree over points. Results are written into the given arrays."""
 
+    @overload
     def __init__(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> None: ...
+
+    @overload
+    def __init__(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], tree: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """The index of these points whose tree was stored."""
+
+    def store(self, tree: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """Write the tree into an array of as many bytes as it has."""
 
     @property
     def bytes(self) -> int:
@@ -130,6 +138,12 @@ def equal_normal_equations(places: Annotated[NDArray[numpy.float64], dict(shape=
     Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has
     the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and
     distances in units of a radius.
+    """
+
+def whole_normal_equations(positions: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], residuals: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.int64], dict(shape=(83, 2), order='C', device='cpu', writable=False)], moments: Annotated[NDArray[numpy.int64], dict(shape=(3, 84, 6), order='C', device='cpu')], scores: Annotated[NDArray[numpy.int64], dict(shape=(4, 20, 3), order='C', device='cpu')]) -> None:
+    """
+    The sums of normal_equations over pairs of weight 1 in whole numbers, added to moments (3, 84, 6) and scores
+    (4, 20, 3): digits of base 2^20 in units of 2^-80, the lowest one first. Factors are rounded to 2^-40.
     """
 
 class MeshIndex:

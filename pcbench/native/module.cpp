@@ -40,6 +40,19 @@ public:
         check(index_->valid(), kBadCoordinate);
     }
 
+    // An index whose tree was stored.
+    PointIndex(Points points, Column tree) : points_(points), stored_(tree) {
+        check(points.shape(0) > 0 && tree.shape(0) == pcbench::Index::doubles(points.shape(0)) &&
+                  reinterpret_cast<uintptr_t>(tree.data()) % alignof(pcbench::Leaf) == 0,
+              "Index: expected the stored tree of these points, at a multiple of 32 bytes");
+        index_.emplace(points_.data(), points_.shape(0), tree.data());
+    }
+
+    void store(Out<double, nb::shape<-1>> tree) const {
+        check(8 * tree.shape(0) == bytes(), "store: expected an array of as many bytes as the tree has");
+        index_->copy_to(tree.data());
+    }
+
     const pcbench::Tree& tree() const { return index_->tree(); }
     size_t bytes() const { return index_->bytes(); }
 
@@ -259,6 +272,7 @@ private:
     }
 
     Points points_;  // keeps the caller's array alive
+    std::optional<Column> stored_;
     std::optional<pcbench::Index> index_;
 };
 
@@ -272,6 +286,10 @@ NB_MODULE(_core, m) {
 
     nb::class_<PointIndex>(m, "PointIndex", "A search tree over points. Results are written into the given arrays.")
         .def(nb::init<Points>(), nb::arg("points").noconvert())
+        .def(nb::init<Points, Column>(), nb::arg("points").noconvert(), nb::arg("tree").noconvert(),
+             "The index of these points whose tree was stored.")
+        .def("store", &PointIndex::store, nb::arg("tree").noconvert(),
+             "Write the tree into an array of as many bytes as it has.")
         .def_prop_ro("bytes", &PointIndex::bytes, "Memory of the tree in bytes, without the points.")
         .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
              nb::arg("distances").noconvert(), nb::arg("indices").noconvert())

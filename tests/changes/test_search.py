@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from changed_scenes import NOISE, SIZE, box, disc, ground
 from data_folder import data_folder
+from scipy.spatial import ConvexHull
 
 from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, details, find_changes, samples
 from pcbench.changes.description import convex_outline
@@ -137,6 +138,11 @@ def test_outline_is_the_convex_hull():
     assert convex_outline(square) == ((0, 0), (1, 0), (1, 1), (0, 1))
     assert convex_outline(square[:2]) == ((0, 0), (1, 0))
     assert convex_outline(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == ((0, 0), (2, 2))
+    assert convex_outline(square[[1, 1, 1]]) == (tuple(square[1]),)
+    scattered = np.random.default_rng(0).normal(size=(2_000, 2))
+    corners = scattered[ConvexHull(scattered).vertices]  # counter-clockwise
+    first = int(np.argmin(corners[:, 0]))
+    np.testing.assert_array_equal(convex_outline(scattered), np.roll(corners, -first, axis=0))
 
 
 @pytest.fixture

@@ -7,11 +7,14 @@ from wording import check_error
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.polynomials import (
     PARAMETERS,
+    Planes,
     form_of_moments,
     model_columns,
     monomials,
     normal_equations,
     normal_matrix,
+    value_of_digits,
+    whole_normal_equations,
 )
 
 
@@ -48,6 +51,24 @@ def test_a_weakly_damped_fit_recovers_a_cubic_field():
     # Damping takes (1e-9 / 0.1)^2 of each part, whose information is at least a tenth; rounding takes more.
     np.testing.assert_allclose(fitted(places), field(places), atol=1e-9)
     np.testing.assert_allclose(fitted.from_monomials(frame.values), fitted(places), atol=1e-12)
+
+
+def test_whole_numbers_add_up_in_any_order_and_for_any_number_of_pairs():
+    rng = np.random.default_rng(3)
+    positions, normals, residuals = rng.uniform(-1, 1, (4_001, 3)), rng.normal(size=(4_001, 3)), rng.normal(size=4_001)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    order = rng.permutation(4_001)
+    planes = Planes(positions, normals, None, np.zeros(3), 1.0)
+    pieces = [whole_normal_equations(planes, residuals, some) for some in np.split(order, [9])]
+    together = whole_normal_equations(planes, residuals, order)
+    floating = normal_equations(positions, normals, np.ones(4_001), residuals)
+    for which in range(2):
+        values = value_of_digits(together[which])
+        # Sums of 4,001 products of factors that are rounded to 2^-40.
+        np.testing.assert_allclose(values, floating[which][0], atol=4_001 * 2.0**-38)
+        np.testing.assert_array_equal(value_of_digits(pieces[0][which] + pieces[1][which]), values)
+        # As many pairs as a comparison of 1e11 points has, whose sums exceed 63 bits.
+        np.testing.assert_array_equal(value_of_digits(together[which] << 25), 2.0**25 * values)
 
 
 def test_invalid_groups_are_refused():

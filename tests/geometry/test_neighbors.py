@@ -91,6 +91,22 @@ def test_matches_of_any_finite_coordinates_equal_brute_force(points, queries):
             assert_matches(index.query(queries, k), brute_force_nearest(queries, points, k))
 
 
+def test_a_stored_tree_answers_like_the_index_that_was_built():
+    rng = np.random.default_rng(4)
+    for count in (1, 8, 65, 5_000):
+        points, queries = rng.random((count, 3)), rng.random((50, 3))
+        built = Index(points)
+        memory = np.empty(built.nbytes // 8 + 4)
+        start = -memory.ctypes.data // 8 % 4  # a multiple of 32 bytes
+        memory[start : start + built.nbytes // 8] = built.tree
+        stored = Index.stored(points, memory[start : start + built.nbytes // 8])
+        for k in (1, min(20, count)):
+            for ours, theirs in zip(stored.query(queries, k), built.query(queries, k), strict=True):
+                np.testing.assert_array_equal(ours, theirs)
+        with check_error(ValueError):
+            Index.stored(points, memory[start : start + built.nbytes // 8 - 1])
+
+
 def test_many_points_agree_with_scipy():
     scipy_spatial = import_or_skip("scipy.spatial")
     rng = np.random.default_rng(11)

@@ -71,29 +71,25 @@ class AlignedCloud:
     @cached_property
     def surface(self) -> TiledSurface:
         """Its points and normals."""
-        picker = self._picker(None, "rows")
-        index = TiledIndex(self.tiles, self.file, picker, self.runner, self.stage, self.key)
+        index = TiledIndex(self.tiles, self.file, self.runner, self.stage, self.key)
         return TiledSurface(index, self.normal_neighbors, self.known_sampling)
 
     @cached_property
     def inside(self) -> Picker:
         """Picks points inside the region."""
-        return self._picker(self.region, "stable" if isinstance(self.region, StableRegion) else "inside")
+        name = "stable" if isinstance(self.region, StableRegion) else "inside"
+        placed = PlacedRuns(self.stored.runs, self.origin, self.pose, self.region)
+        return Picker.of(placed, self.runner, f"{self.stage}-{name}", self.key)
 
     def displaced(self, displacement: Displacement) -> TiledSurface:
         """Return its points after a displacement was removed."""
-        picker = self._picker(None, "displaced-rows", displacement)
-        return TiledSurface(self.surface.index.displaced(displacement, picker))
+        return TiledSurface(self.surface.index.displaced(displacement))
 
     def limited_to(self, region: Region) -> AlignedCloud:
         """Return the cloud with another region, in which points have been loaded already."""
         limited = replace(self, region=region)
         limited.__dict__["surface"] = self.surface
         return limited
-
-    def _picker(self, region: Region | None, name: str, displacement: Displacement | None = None) -> Picker:
-        placed = PlacedRuns(self.stored.runs, self.origin, self.pose, region, displacement)
-        return Picker.of(placed, self.runner, f"{self.stage}-{name}", self.key)
 
     def rounding(self) -> PlacedQuantisation:
         """Return how the points are rounded, in local coordinates."""

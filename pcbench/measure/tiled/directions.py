@@ -253,8 +253,7 @@ def _budget_sums(
         return _TileBudget(None, np.zeros(len(points), np.int64))
     changes = labels.of_points(points)
     sums = sum_queries(planes, places, normals, None, changes, labels.changes, pair.frame, whole_normal_equations)
-    moments, scores = (values.astype(np.int64) for values in (sums.moments, sums.scores))  # a tile's fit into 63 bits
-    return _TileBudget(replace(sums, moments=moments, scores=scores), changes.astype(np.int64) + FIRST)
+    return _TileBudget(sums, changes.astype(np.int64) + FIRST)
 
 
 class _Distances(NamedTuple):

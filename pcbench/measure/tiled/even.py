@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.displacement import Displacement
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
@@ -31,28 +30,24 @@ class PlacedRuns:
         origin: (3,) offset that is subtracted first.
         pose: motion that is applied then; None: none.
         region: the region in these coordinates; None: everything.
-        displacement: displacement that is removed last; None: none.
     """
 
     runs: CloudRuns
     origin: FloatArray
     pose: Similarity | None = None
     region: Region | None = None
-    displacement: Displacement | None = None
 
     @property
     def parts(self) -> list[PlacedRuns]:
         """Each run by itself."""
         return [replace(self, runs=replace(self.runs, runs=(run,))) for run in self.runs.runs]
 
-    def load(self) -> PickedPoints:
-        """Return all points inside the region, in the order of their rows."""
-        stored = self.runs.read([(0, 1 << CODE_BITS)])
+    def load(self, numbers: IntArray | None = None) -> PickedPoints:
+        """Return all points inside the region, in the order of their rows; or those with numbers (M,) of one run."""
+        stored = self.runs.read([(0, 1 << CODE_BITS)]) if numbers is None else self.runs.take(numbers)
         points = stored.points - self.origin
         if self.pose is not None:
             points = self.pose.apply(points)
-        if self.displacement is not None:
-            points = points - self.displacement(points)
         loaded = PickedPoints(points, stored.rows, stored.classes)
         return loaded if self.region is None else loaded.select(np.flatnonzero(self.region.contains(points)))
 
@@ -147,8 +142,8 @@ def count_inside(placed: PlacedRuns) -> CountedPoints:
 
 
 def picked_points(placed: PlacedRuns, numbers: IntArray) -> PickedPoints:
-    """Return the points with these numbers (M,) among those inside the region."""
-    return placed.load().select(numbers)
+    """Return the points with these numbers (M,) among those of a run inside the region."""
+    return placed.load(numbers) if placed.region is None else placed.load().select(numbers)
 
 
 def _task(part: PlacedRuns, *arguments: Any) -> Task:

@@ -23,11 +23,10 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
 from pcbench.geometry.voxels import cells
-from pcbench.measure.tiled.columns import save_column
-from pcbench.measure.tiled.even import PickedPoints, Picker
+from pcbench.measure.tiled.even import PickedPoints
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.search import nearest_in_tiles
-from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary
+from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary, save_points
 from pcbench.tasks import Task, TaskRunner
 from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import read_shared, write_result
@@ -36,6 +35,7 @@ from pcbench.tasks.results import read_shared, write_result
 # deformation is followed.
 _MIN_NEAR_POINTS, _NEAR_GROWTH = 16, 2
 _PLACES_AT_ONCE = 4_096  # of a task
+_MAX_GROWTH = 1.25  # of the points in memory, after which they are indexed again
 _CENTERS = 4  # places nearest to a query that may show that its result is complete
 _SLACK = 1e-9  # share of distances, far above their rounding
 
@@ -50,6 +50,7 @@ class NearPoints(NamedTuple):
         variation: (N,) surface variation around them, if the cloud has it.
         classes: (N,) their LAS classes, if the cloud has any.
         reach: (M,) all points that are nearer to a place than this are among them.
+        matches: the k nearest points of each place, with positions among these points.
     """
 
     points: FloatArray
@@ -58,20 +59,22 @@ class NearPoints(NamedTuple):
     variation: FloatArray | None
     classes: NDArray[np.uint8] | None
     reach: FloatArray
+    matches: Matches
 
 
-def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
-    """Return the k points nearest to each place (M, 3).
+def near_points(file: Path, key: str, places: FloatArray, count: int, k: int) -> NearPoints:
+    """Return the points nearest to places (M, 3).
 
     Args:
-        file: the shared `TiledCloud` of the cloud, with at least k points.
+        file: the shared `TiledCloud` of the cloud, with at least `count` points.
         key: identifies its content.
         places: the places.
-        k: number of points.
+        count: number of points around each place.
+        k: number of these points that are its matches.
     """
     cloud = read_shared(file, key, TiledCloud)
-    matches = nearest_in_tiles(places, cloud, k)
-    rows, first = np.unique(matches.rows, return_index=True)
+    matches = nearest_in_tiles(places, cloud, count)
+    rows, first, positions = np.unique(matches.rows, return_index=True, return_inverse=True)
 
     def column(name: str) -> Any:
         shown = cloud.has_column(name)
@@ -79,7 +82,7 @@ def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
         return None if values is None else values.reshape(-1, *values.shape[2:])[first]
 
     classes = column(CLASSES)
-    reach = np.full(len(places), np.inf) if k == cloud.count else matches.distances[:, -1]
+    reach = np.full(len(places), np.inf) if count == cloud.count else matches.distances[:, -1]
     return NearPoints(
         column("points"),
         rows,
@@ -87,6 +90,7 @@ def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
         column(cloud.variation),
         None if classes is None else classes.astype(np.uint8),
         reach,
+        Matches(matches.distances[:, :k], positions.reshape(len(places), -1)[:, :k]),
     )
 
 
@@ -98,8 +102,7 @@ def thin_tile(file: Path, key: str, number: int, share: float, seed: int, folder
     if not len(kept):
         return TileSummary.empty(number)
     points = cloud.load(number, "points")[kept]
-    save_column(folder, number, "points", points)
-    save_column(folder, number, "rows", rows[kept])
+    save_points(folder, number, points, rows[kept])
     return TileSummary.of(number, points, points)
 
 
@@ -129,9 +132,46 @@ def displace_tile(file: Path, key: str, number: int, displacement: Displacement,
     cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
     points = points - displacement(points)
-    save_column(folder, number, "points", points)
-    save_column(folder, number, "rows", cloud.load(number, "rows"))
+    save_points(folder, number, points, cloud.load(number, "rows"))
     return TileSummary.of(number, points, points)
+
+
+def every_of_tile(file: Path, key: str, number: int, step: int) -> PickedPoints:
+    """Return the points of a tile whose rows in the cloud are multiples of a step."""
+    cloud = read_shared(file, key, TiledCloud)
+    rows = cloud.open(number, "rows")
+    some = np.flatnonzero(rows % step == 0)
+    return PickedPoints(cloud.open(number, "points").take(some, axis=0), rows.take(some), None)
+
+
+class _Known(NamedTuple):
+    """Points in memory, which answer queries near earlier ones.
+
+    Attributes:
+        index: index of the points, in the order of rows, which decides between equal distances.
+        numbers: (N,) numbers of these points.
+        centers: index of the earlier queries.
+        reach: all points of the cloud that are nearer to an earlier query than this are among them.
+    """
+
+    index: Index
+    numbers: IntArray
+    centers: Index
+    reach: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, order: IntArray, centers: FloatArray, reach: FloatArray) -> _Known:
+        """Index points (N, 3), given their order by rows, and the queries (M, 3) with their reach (M,)."""
+        return cls(Index(points[order]), order, Index(centers), reach)
+
+    def query(self, places: FloatArray, k: int) -> tuple[Matches, NDArray[np.bool_]]:
+        """Return the k nearest points (M, k) of places (M, 3), and whether none of the cloud is nearer (M,)."""
+        matches = self.index.query(places, k)
+        distances, indices = (values.reshape(len(places), k) for values in matches)
+        near = self.centers.query(places, min(_CENTERS, len(self.centers)))
+        away, centers = (values.reshape(len(places), -1) for values in near)
+        is_inside = (away + distances[:, -1:]) * (1 + _SLACK) < self.reach[centers]
+        return Matches(distances, self.numbers[indices]), is_inside.any(axis=1)
 
 
 class TiledIndex(Index):
@@ -142,7 +182,6 @@ class TiledIndex(Index):
     Args:
         cloud: the cloud in tiles.
         file: file for it, which tasks share.
-        picker: picks points of the cloud by their rows; None: `every` is not called.
         runner: runs the searches.
         stage: start of the names of the stages.
         key: identifies the cloud.
@@ -153,7 +192,6 @@ class TiledIndex(Index):
         self,
         cloud: TiledCloud,
         file: Path,
-        picker: Picker | None,
         runner: TaskRunner,
         stage: str,
         key: str,
@@ -161,7 +199,7 @@ class TiledIndex(Index):
         is_reused: bool = True,
     ) -> None:
         self._is_reused = is_reused
-        self._cloud, self._file, self._picker = cloud, file, picker
+        self._cloud, self._file = cloud, file
         self._runner, self._stage, self._key = runner, stage, key
         write_result(file, key, cloud)
         self.points = np.zeros((0, 3))
@@ -171,7 +209,7 @@ class TiledIndex(Index):
         self.classes: NDArray[np.uint8] | None = np.zeros(0, np.uint8) if cloud.has_column(CLASSES) else None
         self._order = np.zeros(0, np.int64)  # numbers in the order of rows
         self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
-        self._center_index: Index | None = None
+        self._known: _Known | None = None
         self._searches = self._spreads = 0
 
     def __len__(self) -> int:
@@ -186,14 +224,18 @@ class TiledIndex(Index):
 
     def every(self, step: int) -> FloatArray:
         """Return every `step`-th point (M, 3) of the complete cloud, from the first one on."""
-        assert self._picker is not None
-        return self._picker.every(step).points
+        tasks, title = self._tile_tasks(step), "picking points"
+        results = self._runner.run(f"{self._stage}-every-{step}", every_of_tile, tasks, key=self._key, title=title)
+        parts = [picked for _, picked in results]
+        order = np.argsort(np.concatenate([part.rows for part in parts]))
+        points: FloatArray = np.concatenate([part.points for part in parts])[order]
+        return points
 
     def thinned(self, share: float, seed: int) -> TiledIndex:
         """Return an index of a random share of the complete cloud; see `Index.thinned`."""
         name, key = f"{self._stage}-thinned", f"{self._key}{share}"
         cloud = self._other_tiles(name, key, thin_tile, share, seed)
-        return TiledIndex(cloud, cloud.folder / "cloud.tiles", None, self._runner, name, key)
+        return TiledIndex(cloud, cloud.folder / "cloud.tiles", self._runner, name, key)
 
     def nearest_other(self) -> Matches:
         """Find the nearest other point of each point of the complete cloud, in the order of rows."""
@@ -204,12 +246,12 @@ class TiledIndex(Index):
         """Find neighbours as `Index.neighbors_in_share` does, in an index of the share."""
         return self._neighbors_in_thinned(queries, k, share, seed)
 
-    def displaced(self, displacement: Displacement, picker: Picker) -> TiledIndex:
-        """Return an index of the cloud after a displacement was removed; the picker picks its points."""
+    def displaced(self, displacement: Displacement) -> TiledIndex:
+        """Return an index of the cloud after a displacement was removed."""
         name, key = f"{self._stage}-displaced", f"{self._key}{fingerprint(displacement)}"
         cloud = self._other_tiles(name, key, displace_tile, displacement)
         file = cloud.folder / "cloud.tiles"
-        return TiledIndex(cloud, file, picker, self._runner, name, key, is_reused=False)
+        return TiledIndex(cloud, file, self._runner, name, key, is_reused=False)
 
     def _other_tiles(self, name: str, key: str, function: Callable[..., TileSummary], *arguments: Any) -> TiledCloud:
         """Store points of all tiles as those of another cloud, which has no normals."""
@@ -257,25 +299,29 @@ class TiledIndex(Index):
             name: what they are for, which is in the names of its stages.
         """
         stage = f"{self._stage}-{name}"
-        return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
+        return TiledIndex(self._cloud, self._file, self._runner, stage, self._key, is_reused=False)
 
     def numbers_of(self, points: FloatArray, rows: IntArray, classes: NDArray[np.uint8] | None) -> IntArray:
         """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
-        self._add([NearPoints(points, rows, None, None, classes, np.zeros(0))])
-        return self._order[np.searchsorted(self.rows[self._order], rows)]
+        no_place = Matches(np.zeros((0, 1)), np.zeros((0, 1), np.int64))
+        self._add([NearPoints(points, rows, None, None, classes, np.zeros(0), no_place)])
+        return self._numbers(rows)
 
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query (M, 3); see `Index.query`."""
         places = np.ascontiguousarray(queries, np.float64)
-        missing = np.ones(len(places), bool)
-        if len(self.points) >= k and self._center_index is not None and len(places):
-            matches = self._search(places, k)
-            farthest = matches.distances if k == 1 else matches.distances[:, -1]
-            missing = ~self._is_complete(places, farthest)
-            if not missing.any():
-                return matches
-        self._load_around(places[missing], k)
-        return self._search(places, k)
+        matches = Matches(np.empty((len(places), k)), np.empty((len(places), k), np.int64))
+        missing = np.arange(len(places))
+        if self._is_reused and len(self._reach) and len(places):
+            if self._known is None or len(self.points) > _MAX_GROWTH * len(self._known.numbers):
+                self._known = _Known.of(self.points, self._order, self._centers, self._reach)
+            if len(self._known.numbers) >= k:
+                known, is_complete = self._known.query(places, k)
+                matches.distances[:], matches.indices[:] = known
+                missing = np.flatnonzero(~is_complete)
+        if len(missing):
+            matches.distances[missing], matches.indices[missing] = self._load_around(places[missing], k)
+        return Matches(matches.distances[:, 0], matches.indices[:, 0]) if k == 1 else matches
 
     def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
         """Fit planes to the k nearest points of the points with these numbers (M,); see `Index.local_planes`."""
@@ -288,42 +334,32 @@ class TiledIndex(Index):
         other = planes.nearest_other
         return planes._replace(nearest_other=Matches(other.distances, every[other.indices]))
 
-    def _search(self, places: FloatArray, k: int) -> Matches:
-        """Find the k nearest points in memory."""
-        matches = self._tree_index.query(places, k)
-        return Matches(matches.distances, self._order[matches.indices])
-
-    @cached_property
-    def _tree_index(self) -> Index:
-        return Index(self.points[self._order])  # in the order of rows, which decides between equal distances
-
-    def _is_complete(self, places: FloatArray, farthest: FloatArray) -> NDArray[np.bool_]:
-        """Return whether all points of the cloud within a distance (M,) of each place (M, 3) are in memory."""
-        assert self._center_index is not None
-        k = min(_CENTERS, len(self._center_index))
-        near = self._center_index.query(places, k)
-        away, centers = near.distances.reshape(-1, k), near.indices.reshape(-1, k)
-        is_inside: NDArray[np.bool_] = (away + farthest[:, None]) * (1 + _SLACK) < self._reach[centers]
-        return np.asarray(is_inside.any(axis=1))
-
-    def _load_around(self, places: FloatArray, k: int) -> None:
-        """Load the points around places (M, 3), at least the k nearest ones of each."""
-        if not len(places):
-            return
+    def _load_around(self, places: FloatArray, k: int) -> Matches:
+        """Load the points around places (M, 3), and return the k nearest ones (M, k) of each."""
         count = min(max(_NEAR_GROWTH * k, _MIN_NEAR_POINTS) if self._is_reused else k, len(self))
         order = np.argsort(Lattice.around(*bounds(places)).codes(places), kind="stable")
         tasks = []
         for number, start in enumerate(range(0, len(order), _PLACES_AT_ONCE)):
             some = places[order[start : start + _PLACES_AT_ONCE]]
-            tasks.append(Task(f"{number:06d}", (self._file, self._key, some, count), len(some)))
+            tasks.append(Task(f"{number:06d}", (self._file, self._key, some, count, k), len(some)))
         self._searches += 1
-        stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}"
+        stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}-{k}"
         results = self._runner.run(stage, near_points, tasks, key=key, title="searching the surroundings of a sample")
         near = [part for _, part in results]
         self._add(near)
-        self._centers = np.concatenate([self._centers, places[order]])
-        self._reach = np.concatenate([self._reach, *(part.reach for part in near)])
-        self._center_index = Index(self._centers)
+        if self._is_reused:
+            self._centers = np.concatenate([self._centers, places[order]])
+            self._reach = np.concatenate([self._reach, *(part.reach for part in near)])
+        matches = Matches(np.empty((len(places), k)), np.empty((len(places), k), np.int64))
+        rows = np.concatenate([part.rows[part.matches.indices] for part in near])
+        matches.distances[order] = np.concatenate([part.matches.distances for part in near])
+        matches.indices[order] = self._numbers(rows)
+        return matches
+
+    def _numbers(self, rows: IntArray) -> IntArray:
+        """Return the numbers of points in memory with these rows of the cloud."""
+        numbers: IntArray = self._order[np.searchsorted(self.rows, rows, sorter=self._order)]
+        return numbers
 
     def _add(self, near: Sequence[NearPoints]) -> None:
         """Append the points that are not in memory, and keep the normals and the variation of those that are."""
@@ -355,7 +391,6 @@ class TiledIndex(Index):
         self.points = np.concatenate([self.points, points[new]])
         self.rows = np.concatenate([self.rows, rows[new]])
         self._order = np.argsort(self.rows, kind="stable")
-        self.__dict__.pop("_tree_index", None)
 
 
 class TiledSurface(Surface):

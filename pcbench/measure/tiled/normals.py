@@ -14,7 +14,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import COINCIDENT_NEIGHBORS, PROFILE_NEIGHBORS, profile_step
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
-from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
+from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.tiles import NORMALS, VARIATIONS, WIDE_NORMALS, TiledCloud
 from pcbench.tasks.results import read_shared
 
@@ -161,7 +161,7 @@ def _points_in_box(cloud: TiledCloud, low: FloatArray, high: FloatArray, most: i
     overlaps = (cloud.counts > 0) & (cloud.low <= high).all(axis=1) & (cloud.high >= low).all(axis=1)
     for tile in map(int, np.flatnonzero(overlaps)):
         candidates = cloud.open(tile, "points")
-        inside = positions_in_box(candidates, low, high)
+        inside = _positions_in_box(candidates, low, high)
         count += len(inside)
         if count > most:
             return points[0], rows[0]
@@ -170,6 +170,17 @@ def _points_in_box(cloud: TiledCloud, low: FloatArray, high: FloatArray, most: i
     every = np.concatenate(rows)
     order = np.argsort(every, kind="stable")  # fast, because the rows of each tile are in order
     return np.concatenate(points).take(order, axis=0), every[order]
+
+
+def _positions_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Return the ascending positions of the points (N, 3) in a box with corners `low` (3,) and `high` (3,)."""
+    positions: IntArray | None = None
+    for axis in range(3):
+        values = points[:, axis] if positions is None else points[positions, axis]
+        inside = np.flatnonzero((values >= low[axis]) & (values <= high[axis]))
+        positions = inside if positions is None else positions[inside]
+    assert positions is not None
+    return positions
 
 
 def _distance_to_border(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

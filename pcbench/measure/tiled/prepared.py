@@ -99,8 +99,7 @@ def prepare_reference(steps: Steps, cloud: StoredCloud, *, are_small: bool) -> T
         )
     spacing, tiles = _add_normals(steps, tiles)
     profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
-    picker = Picker.of(PlacedRuns(cloud.runs, origin), steps.runner, f"{REFERENCE}-rows", steps.key)
-    index = TiledIndex(tiles, steps.folder / "sampling.tiles", picker, steps.runner, f"{REFERENCE}-sampling", steps.key)
+    index = TiledIndex(tiles, steps.folder / "sampling.tiles", steps.runner, f"{REFERENCE}-sampling", steps.key)
     return TiledReference(
         stored=cloud,
         tiles=tiles,

@@ -17,7 +17,7 @@ from pcbench.measure.tiled.columns import column_file, load_column, save_column
 from pcbench.measure.tiled.directions import MeasuredDirection, TiledPair, measure_tiles
 from pcbench.measure.tiled.settings import TILED_PRESETS
 from pcbench.measure.tiled.steps import REFERENCE, Steps, tile_tasks
-from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TiledCloud, TileSummary
+from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TiledCloud, TileSummary, save_points
 from pcbench.measure.tiled.totals import DirectionTotals
 
 
@@ -79,7 +79,8 @@ def crop_tile(tiles: Path, number: int, region: Region, folder: Path) -> TileSum
     inside = np.flatnonzero(region.contains(points))
     if not len(inside):
         return TileSummary.empty(number)
-    for name in ("points", "rows", NORMALS, WIDE_NORMALS):
+    save_points(folder, number, points[inside], load_column(tiles, number, "rows")[inside])
+    for name in (NORMALS, WIDE_NORMALS):
         if column_file(tiles, number, name).exists():
             save_column(folder, number, name, load_column(tiles, number, name)[inside])
     return TileSummary.of(number, points[inside], points[inside])

@@ -188,6 +188,21 @@ class CloudRuns:
         assert points is not None
         return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
+    def take(self, numbers: IntArray) -> StoredPoints:
+        """Return the points with these numbers (M,) of a cloud of one run, which is their order in its piece."""
+        (run,) = self.runs
+        places = np.empty(run.count, np.uint32)
+        places[map_column(column_file(self.folder, run.number, "order"))] = np.arange(run.count, dtype=np.uint32)
+        places = places[numbers]
+
+        def column(name: str) -> NDArray[Any] | None:
+            file = column_file(self.folder, run.number, name)
+            return map_column(file).take(places, axis=0) if file.exists() else None
+
+        points = column("points")
+        assert points is not None
+        return StoredPoints(points, numbers + run.first_row, column("normals"), column("classes"))
+
     def _slices(self, run: StoredRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         overlapping = [each for each in ranges if run.overlaps(each)]
         if not overlapping:

@@ -1,4 +1,4 @@
-"""Exact nearest-neighbour search in a cloud of which one tile at a time is in memory.
+"""Exact nearest-neighbour search in a cloud whose tiles have their search trees on disk.
 
 A tile is searched only for queries whose k nearest points so far are not all nearer than its box. So a result is final
 as soon as no unsearched box is nearer: distances are never cut off at the border of a tile, and results do not depend
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
-from pcbench.geometry.neighbors import Index
 from pcbench.measure.tiled.tiles import TiledCloud
 
 _BLOCKS_ALONG = 12  # blocks of queries along the longest side of their box
@@ -166,27 +165,22 @@ class _Search:
 
     def _search(self, tile: int, which: IntArray) -> None:
         queries, worst = self.queries.take(which, axis=0), self.best.distances[which, -1]
-        points, rows = self.cloud.load(tile, "points"), self.cloud.open(tile, "rows")
-        places = _near_points(points, queries, worst)
-        if places is not None:
-            points, rows = points.take(places, axis=0), rows.take(places)
-        if not len(points):
-            return
-        k = min(self.k, len(points))
-        matches = Index(points).query(queries, k)
+        index, rows = self.cloud.index(tile), self.cloud.open(tile, "rows")
+        k = min(self.k, len(index))
+        matches = index.query(queries, k)
         indices = matches.indices.reshape(len(which), k)
         nearer = TileMatches(
             matches.distances.reshape(len(which), k),
             rows.take(indices),
             np.full(indices.shape, tile, np.int32),
-            (indices if places is None else places[indices]).astype(np.int32),
+            indices.astype(np.int32),
         )
         best = self.best
         before = TileMatches(best.distances[which], best.rows[which], best.tiles[which], best.places[which])
         better = nearer
         if k < self.k or (before.tiles >= 0).any() or np.isfinite(worst).any():
             before_squared = _squared_distances(before.column(self.cloud, "points"), queries)
-            found_squared = _squared_distances(points.take(indices, axis=0), queries)
+            found_squared = _squared_distances(index.points.take(indices, axis=0), queries)
             # Squares decide, as in memory: square roots of different squares may be equal.
             limit = np.where(before.rows == _NO_ROW, np.square(before.distances), before_squared)
             better = _merge(before, limit, nearer, found_squared, self.k)
@@ -237,27 +231,6 @@ def _squared_gaps(points: FloatArray, low: FloatArray, high: FloatArray) -> Floa
 def _squared_distances(points: FloatArray, queries: FloatArray) -> FloatArray:
     """Squared distances (M, k) of points (M, k, 3) from queries (M, 3)."""
     return _squared_length(points[..., axis] - queries[:, None, axis] for axis in range(3))
-
-
-def _near_points(points: FloatArray, queries: FloatArray, reach: FloatArray) -> IntArray | None:
-    """Return the positions of the points that may lie within `reach` (M,) of a query (M, 3); None: all of them."""
-    if not np.isfinite(reach).all():
-        return None
-    margin = 1e-12 * (np.abs(queries).max() + reach.max())  # for the rounding of sums
-    low = (queries - reach[:, None]).min(axis=0) - margin
-    high = (queries + reach[:, None]).max(axis=0) + margin
-    return positions_in_box(points, low, high)
-
-
-def positions_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
-    """Return the ascending positions of the points (N, 3) in a box with corners `low` (3,) and `high` (3,)."""
-    positions: IntArray | None = None
-    for axis in range(3):
-        values = points[:, axis] if positions is None else points[positions, axis]
-        inside = np.flatnonzero((values >= low[axis]) & (values <= high[axis]))
-        positions = inside if positions is None else positions[inside]
-    assert positions is not None
-    return positions
 
 
 def _merge(

@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import unit
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.columns import column_file, load_column, map_column, save_column
 from pcbench.measure.tiled.runs import CloudRuns
 
+TREE = "tree"
+"""Column of the search tree over the points."""
 NORMALS = "normals"
 """Column of normals from as many neighbours as the settings say."""
 GIVEN_NORMALS = "given_normals"
@@ -64,8 +67,8 @@ class TileSummary:
 class TiledCloud:
     """The tiles of a cloud, stored in a folder, one array per tile and column.
 
-    Columns are `points` (N, 3), minus the local origin and aligned; `rows` (N,) in the cloud, ascending; and what later
-    steps add, such as `normals` (N, 3).
+    Columns are `points` (N, 3), minus the local origin and aligned; `rows` (N,) in the cloud, ascending; the search
+    `tree` over the points; and what later steps add, such as `normals` (N, 3).
 
     Attributes:
         folder: folder of the files.
@@ -127,6 +130,17 @@ class TiledCloud:
         """Return a column of a tile as a memory map."""
         return map_column(self.file(number, column))
 
+    def index(self, number: int) -> Index:
+        """Return the index of the points of a tile, of which a search reads the part that it needs."""
+        return Index.stored(self.open(number, "points"), self.open(number, TREE))
+
+
+def save_points(folder: Path, number: int, points: FloatArray, rows: IntArray) -> None:
+    """Store the points (N, 3) of a tile, their search tree and their rows (N,)."""
+    save_column(folder, number, "points", points)
+    save_column(folder, number, TREE, Index(points).tree)
+    save_column(folder, number, "rows", rows)
+
 
 def make_tile(
     runs: CloudRuns,
@@ -154,13 +168,11 @@ def make_tile(
     points = stored.points - origin
     if pose is not None:
         points = pose.apply(points)
-    columns: dict[str, NDArray[Any]] = {"points": points, "rows": stored.rows}
+    save_points(folder, number, points, stored.rows)
     if stored.normals is not None and pose is None:
         directions, is_valid = unit(stored.normals)
         directions[~is_valid] = np.nan
-        columns[GIVEN_NORMALS] = directions
+        save_column(folder, number, GIVEN_NORMALS, directions)
     if stored.classes is not None:
-        columns[CLASSES] = stored.classes
-    for name, values in columns.items():
-        save_column(folder, number, name, values)
+        save_column(folder, number, CLASSES, stored.classes)
     return TileSummary.of(number, points, points if region is None else points[region.contains(points)])

@@ -262,6 +262,18 @@ void equal_normal_equations(Points places, Points normals, OptionalIndices rows,
     }
 }
 
+void whole_normal_equations(Points positions, Points normals, Column residuals, Steps steps,
+                            Out<int64_t, nb::shape<3, pcbench::kProducts, 6>> moments,
+                            Out<int64_t, nb::shape<4, pcbench::kMonomials, 3>> scores) {
+    const size_t count = positions.shape(0);
+    check(normals.shape(0) == count && residuals.shape(0) == count && count <= pcbench::kMaxWholePairs,
+          "whole_normal_equations: expected one row of every argument for each of at most 2^20 pairs");
+    const auto step = checked_steps(steps);
+    const nb::gil_scoped_release release;
+    pcbench::kernels().whole_normal_equations(count, positions.data(), normals.data(), residuals.data(), step.data(),
+                                              moments.data(), scores.data());
+}
+
 }  // namespace
 
 void bind_loops(nb::module_& m) {
@@ -340,4 +352,10 @@ void bind_loops(nb::module_& m) {
           "Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has\n"
           "the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and\n"
           "distances in units of a radius.");
+    m.def(
+        "whole_normal_equations", &whole_normal_equations, nb::arg("positions").noconvert(),
+        nb::arg("normals").noconvert(), nb::arg("residuals").noconvert(), nb::arg("steps").noconvert(),
+        nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
+        "The sums of normal_equations over pairs of weight 1 in whole numbers, added to moments (3, 84, 6) and scores\n"
+        "(4, 20, 3): digits of base 2^20 in units of 2^-80, the lowest one first. Factors are rounded to 2^-40.");
 }

@@ -53,6 +53,9 @@ struct Kernels {
     void (*normal_equations)(size_t begin, size_t end, const double* positions, const double* normals,
                              const double* weights, const double* residuals, const MonomialStep* steps, double* moments,
                              double* scores);
+    void (*whole_normal_equations)(size_t count, const double* positions, const double* normals,
+                                   const double* residuals, const MonomialStep* steps, int64_t* moments,
+                                   int64_t* scores);
 };
 
 namespace baseline {

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from tiled_clouds import ORIGIN, ShuffledRunner, clouds_of_all_kinds, stored_runs, stored_tiles
+from tiled_clouds import ShuffledRunner, clouds_of_all_kinds, stored_tiles
 
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.measure.tiled.even import Picker, PlacedRuns
 from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
 
 CLOUDS = dict(clouds_of_all_kinds(np.random.default_rng(0), 700))
@@ -16,10 +15,7 @@ def tiled_index(folder, points, normals=None):
     tiles = stored_tiles(folder / "cloud", points, 100, piece_points=300)
     for number in tiles.occupied if normals is not None else ():
         np.save(tiles.file(number, tiles.normals), normals[tiles.load(number, "rows")])
-    runner = ShuffledRunner(None, folder)
-    runs, _ = stored_runs(folder / "again", points, piece_points=300)
-    picker = Picker.of(PlacedRuns(runs, ORIGIN), runner, "rows", "key")
-    return TiledIndex(tiles, folder / "cloud.tiles", picker, runner, "cloud", "key")
+    return TiledIndex(tiles, folder / "cloud.tiles", ShuffledRunner(None, folder), "cloud", "key")
 
 
 @pytest.mark.parametrize("kind", CLOUDS)
