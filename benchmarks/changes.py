@@ -13,7 +13,8 @@ has what these commands write:
     pcbench synth city --out FOLDER/city --points 200000 ...
     pcbench reconstruct mvs FOLDER/city --out FOLDER/cloud.ply
 
-`--before` answers by the changed tiles of the deformation test instead.
+`--before` answers by the changed tiles of the deformation test instead. `--sample COUNT` limits the samples of the search
+to fewer points, so that small clouds stand for large ones, whose parts are too small for a sample of the whole scene.
 """
 
 from __future__ import annotations
@@ -112,6 +113,15 @@ def answer_before(reference: Points, candidate: Points) -> list[Found]:
     if local is None or local.at is None or not found.has_moved_part:
         return []
     return [Found("moved", local.largest, 0.0, np.array([local.at]))]
+
+
+def limit_samples(count: int) -> None:
+    """Limit the samples of the search for changes, in proportion, to a number of points."""
+    from pcbench.changes import details, samples, search
+
+    for module in (samples, details):
+        module.MAX_SAMPLE = count
+    search.MAX_SCREENED = samples._COUNTED_POINTS = 4 * count
 
 
 # ---- runs ----
@@ -260,8 +270,11 @@ def main() -> None:
     parser.add_argument("--clouds", type=Path, nargs="*", default=[], help="folders of reconstructed cities")
     parser.add_argument("--failures", action="store_true", help="list the failures")
     parser.add_argument("--before", action="store_true", help="answer by the tiles of the deformation test")
+    parser.add_argument("--sample", type=int, help="largest sample of the search for changes")
     options = parser.parse_args()
     limit_threads(1)
+    if options.sample:
+        limit_samples(options.sample)
     print(setting() + data_note(), flush=True)
     texts = options.scenes.split(",") if options.scenes else QUICK_SCENES if options.quick else [""]
     chosen = [
