@@ -133,8 +133,8 @@ def other_coordinates(names: Sequence[str]) -> list[str]:
         next((names[k] for k, alias in enumerate(plain) if alias in (axis, *aliases) and standard[k] != axis), None)
         for axis, aliases in _COORDINATES.items()
     ]
-    found = [name for name in others if name is not None]
-    return found if len(found) == len(XYZ) else []
+    triple = [name for name in others if name is not None]
+    return triple if len(triple) == len(XYZ) else []
 
 
 class PointFields(NamedTuple):

@@ -106,11 +106,10 @@ def _numbers(axis: Any, document: ChangeDocument, layers: PlanLayers) -> None:
         nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
         x = layers.west + (columns[nearest] + 0.5) * layers.pixel
         y = layers.north - (rows[nearest] + 0.5) * layers.pixel
-        at = left_of_arrow((x, y), layers.extent)
+        text_x = left_of_arrow((x, y), layers.extent)
         axis.text(
-            at, y, str(number), fontsize=9, fontweight="bold", color=_OUTLINE, ha="right" if at < x else "center",
-            va="center",
-            path_effects=paper(), clip_on=True,
+            text_x, y, str(number), fontsize=9, fontweight="bold", color=_OUTLINE,
+            ha="right" if text_x < x else "center", va="center", path_effects=paper(), clip_on=True,
         )  # fmt: skip
 
 
