@@ -68,7 +68,8 @@ def deform(
     sides = []
     for name, points, cloud in (("reference", target.surface, reference), ("candidate", aligned, candidate)):
         sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s", origin), cloud))
-    changes = separate_changes(*sides).of_points(target.surface.points, aligned.points)
-    ours, theirs = sides[0].without(changes.of_reference), sides[1].without(changes.of_candidate)
+    ours, theirs = sides
+    changes = separate_changes(ours, theirs).of_points(target.surface.points, aligned.points)
+    ours, theirs = ours.without(changes.of_reference), theirs.without(changes.of_candidate)
     deformation = residual_deformation(ours, theirs, registration, origin, seed=seed)
     return registration, replace(deformation, changes=changes.shifted(origin).found)
