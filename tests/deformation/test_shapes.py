@@ -8,7 +8,9 @@ from wording import check_text
 from pcbench.deformation import Field
 from pcbench.deformation.shapes import shape_of
 
-X, Y, Z = (values.ravel() for values in np.meshgrid(np.linspace(-50, 50, 12), np.linspace(-40, 40, 10), [0.0, 9.0]))
+X, Y, Z = (
+    values.ravel() for values in np.meshgrid(np.linspace(-50, 50, 12), np.linspace(-40, 40, 10), [0.0, 3.0, 9.0])
+)
 NOTHING = np.zeros(len(X))
 
 
@@ -30,6 +32,8 @@ def field(*displacements):
         ("twist", (-Y * X, X * X, NOTHING)),
         ("growth with distance", (X * (X**2 + Y**2), Y * (X**2 + Y**2), NOTHING)),
         ("growth with height", (NOTHING, NOTHING, Z)),
+        ("growth with height", (NOTHING, NOTHING, Z * (Z - 9))),
+        ("growth with height", ((Z - Z.mean()) ** 2, 2 * (Z - Z.mean()) ** 2, NOTHING)),
         ("stretch or shear", (Y, X, NOTHING)),
     ],
 )
