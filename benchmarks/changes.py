@@ -13,8 +13,8 @@ has what these commands write:
     pcbench synth city --out FOLDER/city --points 200000 ...
     pcbench reconstruct mvs FOLDER/city --out FOLDER/cloud.ply
 
-`--before` answers by the changed tiles of the deformation test instead. `--sample COUNT` limits the samples of the search
-to fewer points, so that small clouds stand for large ones, whose parts are too small for a sample of the whole scene.
+`--before` answers by the changed tiles of the deformation test instead. `--sample COUNT` limits the samples of the
+search to fewer points, so that small clouds stand for large ones, whose parts are too small for a sample of the scene.
 """
 
 from __future__ import annotations
