@@ -110,8 +110,8 @@ def whole_normal_equations(
     """
     moments = np.zeros((3, len(_PRODUCTS), 6), np.int64)
     scores = np.zeros((4, len(EXPONENTS), 3), np.int64)
-    columns = map(np.ascontiguousarray, (places, normals, residuals))
-    _core.whole_normal_equations(*columns, np.array(_RECURRENCE), moments, scores)
+    places, normals, residuals = map(np.ascontiguousarray, (places, normals, residuals))
+    _core.whole_normal_equations(places, normals, residuals, np.array(_RECURRENCE), moments, scores)
     return _carried(moments), _carried(scores)
 
 

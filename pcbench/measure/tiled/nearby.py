@@ -144,7 +144,7 @@ def every_of_tile(file: Path, key: str, number: int, step: int) -> PickedPoints:
     return PickedPoints(cloud.open(number, "points").take(some, axis=0), rows.take(some), None)
 
 
-class _Known(NamedTuple):
+class _KeptPoints(NamedTuple):
     """Points in memory, which answer queries near earlier ones.
 
     Attributes:
@@ -160,7 +160,7 @@ class _Known(NamedTuple):
     reach: FloatArray
 
     @classmethod
-    def of(cls, points: FloatArray, order: IntArray, centers: FloatArray, reach: FloatArray) -> _Known:
+    def of(cls, points: FloatArray, order: IntArray, centers: FloatArray, reach: FloatArray) -> _KeptPoints:
         """Index points (N, 3), given their order by rows, and the queries (M, 3) with their reach (M,)."""
         return cls(Index(points[order]), order, Index(centers), reach)
 
@@ -209,7 +209,7 @@ class TiledIndex(Index):
         self.classes: NDArray[np.uint8] | None = np.zeros(0, np.uint8) if cloud.has_column(CLASSES) else None
         self._order = np.zeros(0, np.int64)  # numbers in the order of rows
         self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
-        self._known: _Known | None = None
+        self._kept_points: _KeptPoints | None = None
         self._searches = self._spreads = 0
 
     def __len__(self) -> int:
@@ -295,11 +295,11 @@ class TiledIndex(Index):
         matches = Matches(np.empty((len(places), k)), np.empty((len(places), k), np.int64))
         missing = np.arange(len(places))
         if self._is_reused and len(self._reach) and len(places):
-            if self._known is None or len(self.points) > _MAX_GROWTH * len(self._known.numbers):
-                self._known = _Known.of(self.points, self._order, self._centers, self._reach)
-            if len(self._known.numbers) >= k:
-                known, is_complete = self._known.query(places, k)
-                matches.distances[:], matches.indices[:] = known
+            if self._kept_points is None or len(self.points) > _MAX_GROWTH * len(self._kept_points.numbers):
+                self._kept_points = _KeptPoints.of(self.points, self._order, self._centers, self._reach)
+            if len(self._kept_points.numbers) >= k:
+                nearest, is_complete = self._kept_points.query(places, k)
+                matches.distances[:], matches.indices[:] = nearest
                 missing = np.flatnonzero(~is_complete)
         if len(missing):
             matches.distances[missing], matches.indices[missing] = self._load_around(places[missing], k)
