@@ -148,13 +148,13 @@ class _KeptPoints(NamedTuple):
     """Points in memory, which answer queries near earlier ones.
 
     Attributes:
-        index: index of the points, in the order of rows, which decides between equal distances.
+        tree: index of the points, in the order of rows, which decides between equal distances.
         numbers: (N,) numbers of these points.
         centers: index of the earlier queries.
         reach: all points of the cloud that are nearer to an earlier query than this are among them.
     """
 
-    index: Index
+    tree: Index
     numbers: IntArray
     centers: Index
     reach: FloatArray
@@ -166,12 +166,13 @@ class _KeptPoints(NamedTuple):
 
     def query(self, places: FloatArray, k: int) -> tuple[Matches, NDArray[np.bool_]]:
         """Return the k nearest points (M, k) of places (M, 3), and whether none of the cloud is nearer (M,)."""
-        matches = self.index.query(places, k)
-        distances, indices = (values.reshape(len(places), k) for values in matches)
+        matches = self.tree.query(places, k)
+        distances = matches.distances.reshape(len(places), k)
         near = self.centers.query(places, min(_CENTERS, len(self.centers)))
         away, centers = (values.reshape(len(places), -1) for values in near)
-        is_inside = (away + distances[:, -1:]) * (1 + _SLACK) < self.reach[centers]
-        return Matches(distances, self.numbers[indices]), is_inside.any(axis=1)
+        is_inside: NDArray[np.bool_] = (away + distances[:, -1:]) * (1 + _SLACK) < self.reach[centers]
+        numbers = self.numbers[matches.indices.reshape(len(places), k)]
+        return Matches(distances, numbers), np.asarray(is_inside.any(axis=1))
 
 
 class TiledIndex(Index):
