@@ -95,7 +95,7 @@ class Screened:
 
 
 def find_places(
-    screens: tuple[Screened, Screened], side: float, finest: float, known: FloatArray, corner: FloatArray
+    screens: tuple[Screened, Screened], side: float, finest: float, changed: FloatArray, corner: FloatArray
 ) -> Places | None:
     """Return the cells that are searched again, those with the largest offsets if there are many.
 
@@ -103,7 +103,7 @@ def find_places(
         screens: points of the reference and of the candidate.
         side: length scale of the sample of the whole scene, the edge length of a cell.
         finest: length scale of a sample that shows all that the points show.
-        known: (K, 3) sampled points of parts that the search of the whole scene found.
+        changed: (K, 3) sampled points of parts that the search of the whole scene found.
         corner: (3,) corner of the cells.
     """
     points = np.concatenate([screen.points for screen in screens])
@@ -115,8 +115,8 @@ def find_places(
     strength = np.maximum(
         _far_distances(distances, grid.of_point, centers, finest), _offsets(screens, grid.of_point, centers)
     )
-    if len(known):
-        strength[Index(known).query(centers).distances <= (_RING + 1) * side] = 0
+    if len(changed):
+        strength[Index(changed).query(centers).distances <= (_RING + 1) * side] = 0
     order = np.argsort(-strength, kind="stable")[: np.count_nonzero(strength)]
     weights = np.concatenate([np.full(len(screen.points), screen.weight) for screen in screens])
     most = SIDE_VOXELS**2 * _SURFACE_FOLD * (side / finest) ** 2

@@ -225,7 +225,7 @@ def _places(
 ) -> Places | None:
     """Return the places where a small part may have changed."""
     screens = []
-    known = [
+    changed = [
         sample.points[np.concatenate([part[which] for part, _ in whole.described])]
         for which, sample in enumerate(whole.samples)
         if whole.described
@@ -244,8 +244,8 @@ def _places(
         offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
         screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
     side = whole.samples[0].side
-    known_points = np.concatenate(known) if known else np.zeros((0, 3))
-    return find_places((screens[0], screens[1]), side, finer, known_points, reference.corner)
+    points_of_changes = np.concatenate(changed) if changed else np.zeros((0, 3))
+    return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
 
 
 def _noise(reference: Surface, candidate: Surface) -> float:

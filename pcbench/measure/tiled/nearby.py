@@ -144,34 +144,35 @@ def every_of_tile(file: Path, key: str, number: int, step: int) -> PickedPoints:
     return PickedPoints(cloud.open(number, "points").take(some, axis=0), rows.take(some), None)
 
 
-class _Known(NamedTuple):
+class _KeptPoints(NamedTuple):
     """Points in memory, which answer queries near earlier ones.
 
     Attributes:
-        index: index of the points, in the order of rows, which decides between equal distances.
+        tree: index of the points, in the order of rows, which decides between equal distances.
         numbers: (N,) numbers of these points.
         centers: index of the earlier queries.
         reach: all points of the cloud that are nearer to an earlier query than this are among them.
     """
 
-    index: Index
+    tree: Index
     numbers: IntArray
     centers: Index
     reach: FloatArray
 
     @classmethod
-    def of(cls, points: FloatArray, order: IntArray, centers: FloatArray, reach: FloatArray) -> _Known:
+    def of(cls, points: FloatArray, order: IntArray, centers: FloatArray, reach: FloatArray) -> _KeptPoints:
         """Index points (N, 3), given their order by rows, and the queries (M, 3) with their reach (M,)."""
         return cls(Index(points[order]), order, Index(centers), reach)
 
     def query(self, places: FloatArray, k: int) -> tuple[Matches, NDArray[np.bool_]]:
         """Return the k nearest points (M, k) of places (M, 3), and whether none of the cloud is nearer (M,)."""
-        matches = self.index.query(places, k)
-        distances, indices = (values.reshape(len(places), k) for values in matches)
+        matches = self.tree.query(places, k)
+        distances = matches.distances.reshape(len(places), k)
         near = self.centers.query(places, min(_CENTERS, len(self.centers)))
         away, centers = (values.reshape(len(places), -1) for values in near)
-        is_inside = (away + distances[:, -1:]) * (1 + _SLACK) < self.reach[centers]
-        return Matches(distances, self.numbers[indices]), is_inside.any(axis=1)
+        is_inside: NDArray[np.bool_] = (away + distances[:, -1:]) * (1 + _SLACK) < self.reach[centers]
+        numbers = self.numbers[matches.indices.reshape(len(places), k)]
+        return Matches(distances, numbers), np.asarray(is_inside.any(axis=1))
 
 
 class TiledIndex(Index):
@@ -209,7 +210,7 @@ class TiledIndex(Index):
         self.classes: NDArray[np.uint8] | None = np.zeros(0, np.uint8) if cloud.has_column(CLASSES) else None
         self._order = np.zeros(0, np.int64)  # numbers in the order of rows
         self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
-        self._known: _Known | None = None
+        self._kept_points: _KeptPoints | None = None
         self._searches = self._spreads = 0
 
     def __len__(self) -> int:
@@ -313,11 +314,11 @@ class TiledIndex(Index):
         matches = Matches(np.empty((len(places), k)), np.empty((len(places), k), np.int64))
         missing = np.arange(len(places))
         if self._is_reused and len(self._reach) and len(places):
-            if self._known is None or len(self.points) > _MAX_GROWTH * len(self._known.numbers):
-                self._known = _Known.of(self.points, self._order, self._centers, self._reach)
-            if len(self._known.numbers) >= k:
-                known, is_complete = self._known.query(places, k)
-                matches.distances[:], matches.indices[:] = known
+            if self._kept_points is None or len(self.points) > _MAX_GROWTH * len(self._kept_points.numbers):
+                self._kept_points = _KeptPoints.of(self.points, self._order, self._centers, self._reach)
+            if len(self._kept_points.numbers) >= k:
+                nearest, is_complete = self._kept_points.query(places, k)
+                matches.distances[:], matches.indices[:] = nearest
                 missing = np.flatnonzero(~is_complete)
         if len(missing):
             matches.distances[missing], matches.indices[missing] = self._load_around(places[missing], k)
