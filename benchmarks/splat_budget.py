@@ -2,8 +2,8 @@
 
 For each city, the budgets that `density=parsimonious` tries, one per row: score of the held-out photographs that select
 the budget (PSNR in dB, or with `--select surface` the percentage of correct depths), its loss against the best with the
-standard error over their blocks, CPU time of a step, size of the model, and accuracy of its surface. Then the selected
-budget, trained to the end, against the initial number of Gaussians at equal steps: PSNR of 8 blocks of photographs that
+95 % interval over their blocks, CPU time of a step, size of the model, and accuracy of its surface. Then the selected
+budget, trained to the end, against the maximum number of Gaussians at equal steps: PSNR of 8 blocks of photographs that
 neither was trained on, and the difference with its standard error over the blocks. With one
 thread: OMP_NUM_THREADS=1.
 """
@@ -25,17 +25,10 @@ from splat_train import Inputs, prepare
 
 from pcbench.scenes.splits import split_for_selection
 from reconstructors.splat import extract
+from reconstructors.splat.curve import CRITERIA, Budget, CriterionName, Loss
 from reconstructors.splat.density import Density
 from reconstructors.splat.model import Gaussians
-from reconstructors.splat.parsimony import (
-    CRITERIA,
-    Budget,
-    CriterionName,
-    Parsimonious,
-    ScoreLoss,
-    score_surface,
-    score_views,
-)
+from reconstructors.splat.parsimony import Parsimonious, score_surface, score_views
 from reconstructors.splat.photographs import Pyramid
 from reconstructors.splat.splat import initial_model
 from reconstructors.splat.train import Schedule, Training, evaluate
@@ -46,9 +39,11 @@ SH_DEGREE = 2
 class SurfaceMeasuringDensity(Parsimonious):
     """Parsimonious densification that also measures the surface of each budget."""
 
-    def __init__(self, inputs: Inputs, held_out_views: list[list[Pyramid]], select: CriterionName) -> None:
+    def __init__(
+        self, inputs: Inputs, held_out_views: list[list[Pyramid]], max_gaussians: int, select: CriterionName
+    ) -> None:
         score = score_views if select == "views" else score_surface(inputs.supervision.depths)
-        super().__init__(held_out_views, CRITERIA[select], score)
+        super().__init__(held_out_views, max_gaussians // 4, max_gaussians, CRITERIA[select], score)
         self.inputs = inputs
         self.scores: list[CloudScore] = []
         self.measuring_s = 0.0  # CPU time
@@ -89,26 +84,31 @@ def compare(inputs: Inputs, count: int, steps: int, select: CriterionName) -> No
     pyramid_by_name = dict(zip(names, inputs.shown, strict=True))
     selection_split = split_for_selection(names, {name: inputs.cameras[name].position for name in names})
     density = SurfaceMeasuringDensity(
-        inputs, [[pyramid_by_name[name] for name in block] for block in selection_split.blocks], select
+        inputs, [[pyramid_by_name[name] for name in block] for block in selection_split.blocks], count, select
     )
     selected_training, seconds = train(
-        inputs, count, steps, density, [pyramid_by_name[name] for name in selection_split.train]
+        inputs, density.start_gaussians, steps, density, [pyramid_by_name[name] for name in selection_split.train]
     )
     seconds -= density.measuring_s
     curve = density.curve
     assert curve is not None
-    print(f"{'N':>9}{'degree':>8}{'score':>8}{'loss':>14}{'ms per step':>13}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
+    print(f"{'N':>9}{'degree':>8}{'score':>8}{'loss':>22}{'ms per step':>13}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
     for budget, score in zip(curve.budgets, density.scores, strict=True):
-        loss = ScoreLoss.of(budget, curve.best)
+        loss = Loss.of(budget, curve.best)
+        interval = f"{loss.mean:.2f} ({loss.low:.2f}, {loss.high:.2f})"
         print(
-            f"{budget.gaussians:9,}{budget.degree:8}{budget.mean:8.2f}{f'{loss.mean:.2f} ± {loss.error:.2f}':>14}"
+            f"{budget.gaussians:9,}{budget.degree:8}{budget.means[0]:8.2f}{interval:>22}"
             f"{budget.step_ms:13.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
             f"{'  chosen' if budget is curve.selected else ''}"
         )
+    print(curve.sentence)
     rows = [("chosen", selected_training, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
     held_out = {photograph.name: photograph for photograph in inputs.held_out}
     blocks = [[held_out[name] for name in block] for block in inputs.split.blocks]
-    psnr = [np.array([np.mean(evaluate(training.model, block)) for block in blocks]) for _, training, _ in rows]
+    psnr = [
+        np.array([np.mean([score.psnr for score in evaluate(training.model, block)]) for block in blocks])
+        for _, training, _ in rows
+    ]
     for (name, training, seconds), scores in zip(rows, psnr, strict=True):
         model, score = training.model, score_model(inputs, training.model)
         print(
