@@ -1,4 +1,4 @@
-"""Which number of Gaussians suffices: scores of models of several sizes, and the choice among them."""
+"""Scores of models of several sizes on held-out photographs, and the choice of the smallest that suffices."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Budget(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """What a budget loses in a metric relative to another: mean over the blocks, and its 95 % interval.
+    """Loss of a budget in a metric relative to another: mean over the blocks, and its 95 % interval.
 
     The interval is that of Student's t for the paired differences of the blocks, which need not be equally hard.
     """
@@ -113,14 +113,21 @@ def find_best(budgets: Sequence[Budget]) -> Budget:
 
 
 def select_budget(budgets: Sequence[Budget], criterion: Criterion) -> int:
-    """Return the index of the smallest budget that loses no more than noise relative to the best, in any metric."""
-    best = find_best(budgets)
+    """Return the index of the smallest budget that no other beats by more than noise, in any metric.
+
+    If each is beaten by another one, this is the budget with the highest mean of the first metric.
+    """
 
     def suffices(budget: Budget) -> bool:
-        losses = (Loss.of(budget, best, k) for k in range(len(criterion)))
-        return all(loss.is_acceptable(metric.tolerance) for loss, metric in zip(losses, criterion, strict=True))
+        return all(
+            Loss.of(budget, other, k).is_acceptable(metric.tolerance)
+            for other in budgets
+            if other is not budget
+            for k, metric in enumerate(criterion)
+        )
 
-    return min((k for k, budget in enumerate(budgets) if suffices(budget)), key=lambda k: budgets[k].numbers)
+    unbeaten = [k for k, budget in enumerate(budgets) if suffices(budget)]
+    return min(unbeaten or [budgets.index(find_best(budgets))], key=lambda k: budgets[k].numbers)
 
 
 @dataclass(frozen=True)
@@ -132,7 +139,7 @@ class Curve:
 
     @property
     def selected(self) -> Budget:
-        """The smallest budget that is as good as the best."""
+        """The smallest budget that no other beats by more than noise."""
         return self.budgets[select_budget(self.budgets, self.criterion)]
 
     @property

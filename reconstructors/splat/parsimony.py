@@ -1,4 +1,4 @@
-"""The number of Gaussians that a scene needs: the smallest model whose held-out error is within noise of the best."""
+"""The number of Gaussians that a scene needs: the smallest that no other beats in held-out error by more than noise."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Parsimonious(Density["Training"]):
     next ones have two, four, ... times as many, up to `max_gaussians`, as long as each is better on the held-out blocks
     by more than noise. If twice as many are not, trials follow that keep the half with the largest contributions to
     the photographs, the half of these, and so on. At last the degree of the spherical harmonics is lowered by one,
-    repeatedly. The smallest model that is as good as the best is then trained to the end on all photographs.
+    repeatedly. The smallest model that no other beats by more than noise is then trained to the end on all photographs.
 
     Args:
         held_out_blocks: at least two blocks of photographs, which `Training` must not have at the start.

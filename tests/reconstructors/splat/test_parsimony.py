@@ -39,6 +39,8 @@ def test_the_smallest_within_the_noise_of_the_best_is_selected():
     views = CRITERIA["views"]
     assert select_budget([best, equivalent, worse, blurred], views) == 1
     assert select_budget([best, worse], views) == 0
+    # Each is beaten by another one: the best PSNR decides.
+    assert select_budget([best, best._replace(gaussians=400, scores=(worse.scores[0], (0.81,) * 3))], views) == 0
     # The same number with spherical harmonics of a lower degree is smaller.
     assert select_budget([best, equivalent, worse, equivalent._replace(degree=0)], views) == 3
     check_text(Curve((best,)).sentence)
