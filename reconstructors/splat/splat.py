@@ -20,7 +20,6 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import library_versions, stage, stage_key
@@ -31,6 +30,7 @@ from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
 from reconstructors.mvs.cells import SPACE, SpaceCell
 from reconstructors.mvs.mvs import MAPS, MIN_MEMORY_GB, DenseMvs
 from reconstructors.mvs.views import ALPHA, view_stage
+from reconstructors.sfm.features import NoPointsError
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
@@ -54,6 +54,7 @@ from reconstructors.splat.ply import local_origin, write_model
 from reconstructors.splat.preview import PreviewWriter
 from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
+from reconstructors.splat.start import points_in_bounds, points_in_view
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Training, evaluate, render
 
@@ -144,7 +145,8 @@ class GaussianSplatting:
     poses: `given` uses the scene's cameras as they are, `solve` computes them, as `sfm` does; `auto` uses the scene's
     cameras if there are any.
     start: the points at which training starts: the cloud of `mvs`, thinned to the initial number of Gaussians, the
-    sparse points of `sfm`, or `random` positions in their bounding box.
+    sparse points of `sfm`, or `random` positions in their bounding box; if photographs with given cameras have no such
+    points, where at least three cameras look.
     supervision: `mvs` adds the difference from the depth maps of `mvs` to the loss, if start=mvs; `none` does not.
     density: `parsimonious` starts with a quarter of `gaussians`, doubles or halves their number, then lowers the degree
     of the spherical harmonics, and keeps the smallest model whose loss on held-out photographs is within its noise;
@@ -326,7 +328,20 @@ class GaussianSplatting:
         if self.start == "mvs":
             mvs = replace(INITIAL_MVS, poses=self.poses, memory=max(MIN_MEMORY_GB, self.memory), seed=self.seed)
             return mvs.reconstruct(scene, folder)
-        return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+        count = self._recipe.gaussians
+        try:
+            initial = ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+        except NoPointsError as error:
+            if self.start != "random" or self.poses == "solve" or not scene.cameras:
+                raise
+            cameras = {name: scene.cameras[name] for name in scene.images if name in scene.cameras}
+            points = points_in_view(list(cameras.values()), count, self.seed)
+            note = f"starts at random points where at least three cameras look: {error}"
+            return Reconstruction(Cloud(points), "georeferenced", cameras, [note], origin=scene.origin)
+        if self.start == "random":
+            points = points_in_bounds(initial.cloud.points, count, self.seed)
+            return replace(initial, cloud=Cloud(points, unit=initial.cloud.unit))
+        return initial
 
     def _needed_gigabytes(self, gaussians: float, cameras: Iterable[Camera]) -> float:
         """Return the memory of a training, in gigabytes."""
@@ -487,7 +502,7 @@ class GaussianSplatting:
         density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids, depths)
         background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
         count = density.start_gaussians if isinstance(density, Parsimonious) else self._recipe.gaussians
-        model = initial_model(initial.cloud, frame, count, self.seed, random=self.start == "random")
+        model = initial_model(initial.cloud, frame, count, self.seed)
         training = Training(
             model.to(part.device),
             training_photographs,
@@ -645,27 +660,22 @@ def _color_text(color: NDArray[np.float32]) -> str:
     return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
-def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
-    """Create the Gaussians that training starts with, at points of a cloud or at random in their bounding box.
+def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int) -> Gaussians:
+    """Create the Gaussians that training starts with, at points of a cloud.
 
     Args:
         cloud: initial points in the world, with colors or without.
         frame: the frame of the model.
         max_gaussians: maximum number of Gaussians; a larger cloud is sampled.
         seed: seed of the random numbers.
-        random: uniformly distributed positions instead of the cloud's points.
 
     Raises:
         ReconstructionError: the cloud has fewer than two points.
     """
     points, colors = cloud.points, cloud.colors
-    rng = np.random.default_rng([seed, 2])
-    if random:
-        lower, upper = robust_bounds(points)
-        points, colors = rng.uniform(lower, upper, size=(max_gaussians, 3)), None
-    elif len(points) > max_gaussians:
+    if len(points) > max_gaussians:
         # At random: a dense cloud has more points where the photographs are closer, and the model needs more there.
-        rows = np.sort(rng.choice(len(points), max_gaussians, replace=False))
+        rows = np.sort(np.random.default_rng([seed, 2]).choice(len(points), max_gaussians, replace=False))
         points, colors = points[rows], None if colors is None else colors[rows]
     if len(points) < 2:
         raise ReconstructionError(f"expected at least 2 initial points, got {len(points)}: set start=random")
