@@ -105,10 +105,10 @@ def test_the_bench_prints_a_row_for_each_contestant():
 BENCHES = {  # options for a short run, pattern of a row, and number of rows
     "splat_train": (["--counts=300,600", "--steps=30,60", "--seeds=2"], r"pcbench +\d+ +\d+(?: +\S+ ± \S+){6} *", 3),
     "splat_clouds": (["--steps=40", "--gaussians=800", "--cases=circles, seed 11"], r".* +\d+ +\S+(?: +\S+){7}", 11),
-    "splat_budget": (
-        ["--steps=40", "--gaussians=800", "--cases=circles, seed 11"],
-        r"(?:chosen|fixed) +[\d,]+ of degree \d: \d+\.\d\d dB held out, \d+ CPU s, surface \S+ m, F-score \S+",
-        2,
+    "splat_variants": (
+        ["--steps=40", "--gaussians=800", "--scenes=circles, seed 11"],
+        r"(?:classic|growing|parsimonious|fixed) from (?:sfm|mvs)(?: +[\d,.]+){7}",
+        4,
     ),
 }
 
