@@ -15,7 +15,7 @@ from reconstructors.splat.model import LocalFrame
 
 _MIN_VIEWS = 3  # cameras that see a point
 _NEAREST, _FARTHEST = 0.1, 1.5  # depths of the points in a camera, in units of the cameras' spread
-_BATCH = 20_000  # points that are drawn at once
+_BATCH = 20_000  # points that are kept_count at once
 _MIN_SHARE = 1e-3  # of these, which at least three cameras must see
 
 
@@ -26,7 +26,7 @@ def points_in_bounds(points: FloatArray, count: int, seed: int) -> FloatArray:
 
 
 def points_in_view(cameras: Sequence[Camera], count: int, seed: int) -> FloatArray:
-    """Return random points (count, 3) in front of pinhole cameras, where at least three look.
+    """Return random points (count, 3) in front of pinhole cameras, where at least three look; distortion is ignored.
 
     The depth of a point has the same probability at each scale, from 0.1 to 1.5 of the unit of the frame of training. A
     point is kept with a probability that grows with the square of the number of cameras that see it.
@@ -35,8 +35,8 @@ def points_in_view(cameras: Sequence[Camera], count: int, seed: int) -> FloatArr
         ReconstructionError: hardly any point is seen by three cameras.
     """
     unit, rng = LocalFrame.of(list(cameras)).unit, np.random.default_rng([seed, 4])
-    parts, found = list[FloatArray](), 0
-    while found < count:
+    parts, kept_count = list[FloatArray](), 0
+    while kept_count < count:
         depths = unit * np.exp(rng.uniform(np.log(_NEAREST), np.log(_FARTHEST), _BATCH))
         pixels, owners = rng.random((_BATCH, 2)), rng.integers(len(cameras), size=_BATCH)
         points = np.concatenate(
@@ -52,7 +52,7 @@ def points_in_view(cameras: Sequence[Camera], count: int, seed: int) -> FloatArr
                 f" {len(cameras)} see: check the cameras"
             )
         parts.append(points[kept])
-        found += int(kept.sum())
+        kept_count += int(kept.sum())
     return rng.permutation(np.concatenate(parts))[:count]
 
 
