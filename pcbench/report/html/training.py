@@ -105,7 +105,15 @@ def _size_chart(metric: str, sizes: Sequence[SizeScore]) -> CurveChart:
     series = [Series(label, color, path) for (label, path), color in zip(paths.items(), SERIES, strict=False)]
     x_ticks = [Tick(x(count), _short(count)) for count in counts]
     title = f"{name} of held-out photographs, with 95 % intervals of the difference from the best"
-    return CurveChart(title, "Gaussians", unit, series, x_ticks, [Tick(y(tick), f"{tick:g}") for tick in y_ticks], [])
+    return CurveChart(
+        title,
+        "Gaussians",
+        unit,
+        series,
+        x_ticks,
+        [Tick(y(tick), f"{tick:g}".removeprefix("0") or "0") for tick in y_ticks],
+        [],
+    )
 
 
 def _chart(
