@@ -16,6 +16,7 @@ import argparse
 import json
 import platform
 import shutil
+import statistics
 import subprocess
 import sys
 import time
@@ -244,7 +245,7 @@ def train(folder: Path, machine: Machine, plan: Plan, clock: Clock, code: str) -
         machine.wait()
         seconds += time.perf_counter() - start
         if training.step % plan.curve_interval == 0 or training.step == plan.steps:
-            psnr_db = float(np.mean(evaluate(training.model, held_out)))
+            psnr_db = statistics.fmean(score.psnr for score in evaluate(training.model, held_out))
             curve.append({"step": training.step, "seconds": seconds, "gaussians": len(training.model), "psnr": psnr_db})
             print("  " + _text(curve[-1]), flush=True)
         is_late = clock.is_over

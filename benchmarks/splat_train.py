@@ -109,7 +109,7 @@ def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: 
     return Run(
         seconds,
         statistics.fmean(map(float, training.psnr)),
-        statistics.fmean(evaluate(training.model, inputs.held_out)),
+        statistics.fmean(score.psnr for score in evaluate(training.model, inputs.held_out)),
         score.accuracy,
         score.seen,
         score.fscore_seen,

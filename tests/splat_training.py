@@ -9,7 +9,7 @@ from splat_scenes import scattered_cloud
 from pcbench.geometry.cameras import look_at
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.photographs import Photograph
-from reconstructors.splat.train import render
+from reconstructors.splat.train import evaluate, render
 from reconstructors.splat.view import View
 
 
@@ -41,3 +41,8 @@ def grey(model):
 def numbers(model):
     """Return the bytes of all parameters."""
     return [part.numpy().tobytes() for part in (model.means, model.quats, model.log_scales, model.logits, model.sh)]
+
+
+def mean_psnr(model, photographs, background=None, **options):
+    """Return the mean PSNR of photographs in dB."""
+    return np.mean([score.psnr for score in evaluate(model, photographs, background, **options)])

@@ -3,13 +3,19 @@
 import numpy as np
 
 from pcbench import Cloud
-from pcbench.scenes.previews import Preview, Progress, write_preview
+from pcbench.scenes.previews import Preview, Progress, SizeScore, write_preview
 
 
 def preview_of(steps, held_out=True):
     """Return a training with a state at each of the steps; PSNR grows by 1 dB in ten steps."""
     history = tuple(Progress(k, k, 1 / k, 20 + k / 10, 18 + k / 10 if held_out else None, 2 * k) for k in steps)
-    return Preview("key", 100, "a/1.png", held_out, history)
+    sizes = [
+        SizeScore(2 * k, degree, metric, 0.2 * k, 0.1 * k, 0.3 * k, k == steps[-1])
+        for metric in ("PSNR, dB", "SSIM")
+        for k in steps
+        for degree in (0, 1)
+    ]
+    return Preview("key", 100, "a/1.png", held_out, history, tuple(sizes) if held_out else (), "Few suffice.")
 
 
 def write_preview_folder(workspace, steps, rendering=180, held_out=True):

@@ -23,7 +23,7 @@ from pcbench.io import write_cloud
 from pcbench.regular_files import read_json
 from pcbench.scratch import atomic_write
 
-SCHEMA = "pcbench.preview/1"
+SCHEMA = "pcbench.preview/2"
 DOCUMENT, POINTS, RENDERING, PHOTOGRAPH = "preview.json", "points.ply", "rendering.png", "photograph.png"
 PREVIEW_FOLDER = "preview"  # name of the folder in a reconstructor's workspace
 
@@ -48,6 +48,27 @@ class Progress(NamedTuple):
     gaussians: int
 
 
+class SizeScore(NamedTuple):
+    """Score of a model of one size on held-out photographs, which was compared with models of other sizes.
+
+    Attributes:
+        gaussians: number of Gaussians.
+        degree: degree of their spherical harmonics.
+        metric: name of the score, with its unit.
+        score: its mean over the photographs.
+        low, high: score of the best model plus the 95 % interval of the difference from it.
+        chosen: whether training went on with this size.
+    """
+
+    gaussians: int
+    degree: int
+    metric: str
+    score: float
+    low: float
+    high: float
+    chosen: bool
+
+
 @dataclass(frozen=True)
 class Preview:
     """A training, from its start or its last preview.
@@ -58,6 +79,8 @@ class Preview:
         view: name of the rendered image.
         is_held_out: whether that image is not trained on.
         history: its states, the newest one last.
+        sizes: scores of the models among which the number of Gaussians was chosen; none before, or without a choice.
+        decision: the choice and its reasons, as a sentence.
     """
 
     key: str
@@ -65,6 +88,8 @@ class Preview:
     view: str
     is_held_out: bool
     history: tuple[Progress, ...]
+    sizes: tuple[SizeScore, ...] = ()
+    decision: str = ""
 
     @property
     def sentence(self) -> str:
@@ -100,7 +125,8 @@ def write_preview(
         require("PIL.Image", "splat").fromarray(image).save(packed, format="PNG", compress_level=1)
         with atomic_write(folder / name) as file:
             file.write(packed.getvalue())
-    document = {"schema": SCHEMA, **asdict(preview), "history": [row._asdict() for row in preview.history]}
+    rows = {name: [row._asdict() for row in getattr(preview, name)] for name in ("history", "sizes")}
+    document = {"schema": SCHEMA, **asdict(preview), **rows}
     with atomic_write(folder / DOCUMENT) as file:
         file.write((json.dumps(document) + "\n").encode())
 
@@ -117,12 +143,20 @@ def read_preview(folder: Path) -> Preview:
         if document.pop("schema") != SCHEMA:
             raise InputError(f"expected the schema {SCHEMA}: train the model again")
         history: Any = document.pop("history")
-        preview = Preview(**document, history=tuple(Progress(**row) for row in history))
+        sizes: Any = document.pop("sizes")
+        preview = Preview(
+            **document,
+            history=tuple(Progress(**row) for row in history),
+            sizes=tuple(SizeScore(**row) for row in sizes),
+        )
         if not preview.history:
             raise ValueError("no state")
         for row in preview.history:
             numbers = (preview.steps, *row._replace(held_out_psnr=row.held_out_psnr or 0.0))
             if not all(isinstance(number, int | float) for number in numbers):
+                raise TypeError("no number")
+        for size in preview.sizes:
+            if not all(isinstance(number, int | float) for number in (*size[:2], *size[3:])):
                 raise TypeError("no number")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

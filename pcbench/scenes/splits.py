@@ -111,14 +111,14 @@ def split_blocks(
 def split_for_selection(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
     """Hold out images for model selection.
 
-    At least 32 images: 8 blocks. At least 24: every 8th image. Fewer: every 3rd image.
+    At least 32 images: 8 blocks. Fewer: every 3rd image, which is at least eight images of 24.
 
     Raises:
         InputError: there are fewer than four images.
     """
     if len(names) >= _DEFAULT_BLOCKS * _MIN_BLOCK_IMAGES * 2:
         return split_blocks(names, _DEFAULT_BLOCKS, positions=positions)
-    return split_every(names, _DEFAULT_BLOCKS if len(names) >= 3 * _DEFAULT_BLOCKS else 3)
+    return split_every(names, 3)
 
 
 def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> tuple[str, ...]:

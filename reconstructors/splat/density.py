@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
@@ -13,6 +14,10 @@ from reconstructors.splat.optimizer import Optimizer
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+
+_HALF_OFFSET = 0.6  # of the centre of a half from that of the whole, in standard deviations
+_MAX_HALF_OPACITY = 0.98
 
 
 class ScreenGradients(NamedTuple):
@@ -180,6 +185,72 @@ class Classic(Density[Densifiable]):
             kept = ~splits.new_zeros(len(training.model))
             kept[: len(splits)] = ~splits
             training.keep(kept)
+
+
+@dataclass(frozen=True)
+class NumberGrowth:
+    """NumberGrowth to a number of Gaussians, at equal intervals and by equal factors.
+
+    In each round, those with the largest mean screen gradients are halved, as many as are needed; a round at most
+    doubles the number. Transparent ones are pruned before. It has no state besides the number of Gaussians.
+
+    Args:
+        target: number of Gaussians after the last round.
+        first_step: step from which gradients are collected for the first round.
+        last_step: step of the last round.
+        rounds: number of rounds.
+        prune_opacity: Gaussians with a lower opacity are pruned.
+    """
+
+    target: int
+    first_step: int
+    last_step: int
+    rounds: int
+    prune_opacity: float = 5e-3
+
+    def control(self, training: Densifiable) -> None:
+        """Add Gaussians when a round is due; called after each step."""
+        import torch
+
+        ends = [self.first_step + (self.last_step - self.first_step) * k // self.rounds for k in range(self.rounds + 1)]
+        if training.step not in ends[1:] or len(training.model) >= self.target:
+            return
+        rounds_left = self.rounds + 2 - bisect_right(ends, training.step)  # this one included
+        count = round(len(training.model) * (self.target / len(training.model)) ** (1 / rounds_left))
+        sums = training.screen_gradients
+        kept = training.model.opacities >= self.prune_opacity
+        gradients = (sums.gradient / sums.views.clamp(min=1))[kept]
+        if not kept.all():
+            training.keep(kept)
+        growing = _largest(gradients, count - len(gradients)) & (gradients > 0)
+        training.add(halve(training.model.select(growing)))
+        training.keep(torch.cat([~growing, growing.new_ones(2 * int(growing.sum()))]))
+
+
+def halve(model: Gaussians) -> Gaussians:
+    """Return two Gaussians for each, side by side along its longest axis, which together look nearly the same.
+
+    Together they have the covariance of the Gaussian, and its opacity at the centre, if that is at most 0.93.
+    """
+    import torch
+
+    from reconstructors.splat.rotations import rotate
+
+    axis = torch.nn.functional.one_hot(model.scales.argmax(dim=1), 3).to(model.means)
+    offset = rotate(model.quats, _HALF_OFFSET * axis * model.scales)
+    variance = 1 - _HALF_OFFSET**2  # of a half along the axis, relative to that of the whole
+    falloff = float(np.exp(-(_HALF_OFFSET**2) / (2 * variance)))  # of a half at the centre of the whole
+    opacities = ((1 - (1 - model.opacities).sqrt()) / falloff).clamp(max=_MAX_HALF_OPACITY)
+    halves = [
+        replace(
+            model,
+            means=model.means + sign * offset,
+            log_scales=model.log_scales + axis * float(np.log(variance) / 2),
+            logits=torch.logit(opacities),
+        )
+        for sign in (1, -1)
+    ]
+    return halves[0].concatenate(halves[1])
 
 
 def split(model: Gaussians, shrink: float, rng: np.random.Generator) -> Gaussians:

@@ -14,6 +14,7 @@ from pcbench.errors import InputError
 from pcbench.scenes.previews import Preview, Progress, read_preview, write_preview
 from reconstructors.splat import extract
 from reconstructors.splat.model import LocalFrame
+from reconstructors.splat.parsimony import Parsimonious
 from reconstructors.splat.photographs import Photograph
 from reconstructors.splat.train import Training, evaluate, render
 
@@ -58,7 +59,7 @@ class PreviewWriter:
             return
         model, background = training.model, training.background.color[0]
         scores = evaluate(model, self._scored, background, fit_exposure=training.exposure is not None)
-        held_out = float(np.mean(scores)) if scores else None
+        held_out = float(np.mean([score.psnr for score in scores])) if scores else None
         state = Progress(
             self._done + steps_run, training.step, training.mean_loss, training.mean_psnr, held_out, len(model)
         )
@@ -68,9 +69,18 @@ class PreviewWriter:
         except InputError:  # all are nearly transparent
             points = extract.means(model, self._frame)
         points = points.select(np.arange(0, len(points), math.ceil(len(points) / _MAX_POINTS)))
+        curve = training.density.curve if isinstance(training.density, Parsimonious) else None
         write_preview(
             self._folder,
-            Preview(self._key, training.steps, self._shown.name, self._is_held_out, tuple(self._history)),
+            Preview(
+                self._key,
+                training.steps,
+                self._shown.name,
+                self._is_held_out,
+                tuple(self._history),
+                () if curve is None else tuple(curve.size_scores),
+                "" if curve is None else curve.sentence,
+            ),
             _to_bytes(render(model, self._shown.view, background)),
             _to_bytes(self._shown.over(background)),
             points,

@@ -59,7 +59,7 @@ _GAO2025 = Recipe(
     densification=Classic(refine_start=1000),
 )
 RECIPES: dict[DensityName, Recipe] = {
-    "parsimonious": _OURS,
+    "parsimonious": replace(_OURS, gaussians=100_000),
     "fixed": _OURS,
     "classic": replace(_OURS, densification=Classic()),
     "gao2025": _GAO2025,

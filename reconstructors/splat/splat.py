@@ -20,7 +20,6 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import library_versions, stage, stage_key
@@ -31,24 +30,18 @@ from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
 from reconstructors.mvs.cells import SPACE, SpaceCell
 from reconstructors.mvs.mvs import MAPS, MIN_MEMORY_GB, DenseMvs
 from reconstructors.mvs.views import ALPHA, view_stage
+from reconstructors.sfm.features import NoPointsError
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
 from reconstructors.splat.blocks import TrainedBlock, TrainingBlock, merge_clouds, merge_models, plan_blocks
 from reconstructors.splat.combine import combine
+from reconstructors.splat.curve import CRITERIA, CriterionName, Curve
 from reconstructors.splat.density import Density
 from reconstructors.splat.devices import choose_device
 from reconstructors.splat.exposure import Exposure, read_gains, write_gains
 from reconstructors.splat.model import Gaussians, LocalFrame
-from reconstructors.splat.parsimony import (
-    CRITERIA,
-    CriterionName,
-    Curve,
-    Parsimonious,
-    Score,
-    score_surface,
-    score_views,
-)
+from reconstructors.splat.parsimony import Parsimonious, Score, score_surface, score_views
 from reconstructors.splat.photographs import (
     Photograph,
     Pyramid,
@@ -61,6 +54,7 @@ from reconstructors.splat.ply import local_origin, write_model
 from reconstructors.splat.preview import PreviewWriter
 from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
+from reconstructors.splat.start import points_in_bounds, points_in_view
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Training, evaluate, render
 
@@ -82,7 +76,9 @@ _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface
 _MIN_START_SHARE = 0.5  # initial points, as a share of `gaussians`, below which a note warns that none are added
 _MIN_GAIN_RATIO = 1.3  # of the brightest and the darkest photograph, from which a note reports both
+_GROWTH = 4  # by which factor the number of Gaussians may grow from the first trial on, if it is chosen
 _MIN_SELECTION_IMAGES = 4  # training images needed to choose the number of Gaussians on held-out ones
+_MIN_SELECTION_VIEWS = 4  # held-out views or blocks below which a warning says that they are few
 _BYTES_PER_GAUSSIAN = 1000  # parameters, gradients, moments and instances in the tiles of an image
 _TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is chosen
 _BYTES_PER_PIXEL = 4  # of a photograph with its smaller sizes
@@ -148,18 +144,21 @@ class GaussianSplatting:
 
     poses: `given` uses the scene's cameras as they are, `solve` computes them, as `sfm` does; `auto` uses the scene's
     cameras if there are any.
-    start: the points at which training starts: the cloud of `mvs`, thinned to `gaussians`, the sparse points of `sfm`,
-    or `random` positions in their bounding box.
+    start: the points at which training starts: the cloud of `mvs`, thinned to the initial number of Gaussians, the
+    sparse points of `sfm`, or `random` positions in their bounding box; if photographs with given cameras have no such
+    points, where at least three cameras look.
     supervision: `mvs` adds the difference from the depth maps of `mvs` to the loss, if start=mvs; `none` does not.
-    density: `parsimonious` halves the number of Gaussians, starting at `gaussians`, then lowers the degree of the
-    spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
-    the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023; `gao2025` trains as Gao et al.
+    density: `parsimonious` starts with a quarter of `gaussians`, doubles or halves their number, then lowers the degree
+    of the spherical harmonics, and keeps the smallest model whose loss on held-out photographs is within its noise;
+    `fixed` keeps the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023; `gao2025` trains
+    as Gao et al.
     select: what `parsimonious` compares: `views`, the held-out photographs, or `surface`, their depths in `mvs`, for
     which fewer Gaussians are enough.
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
     all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
-    steps: number of training steps; 3,000, or 50,000 for gao2025. gaussians: maximum number; 50,000, or 2,000,000.
+    steps: number of training steps; 3,000, or 50,000 for gao2025. gaussians: maximum number; 50,000, but 100,000 for
+    parsimonious and 2,000,000 for gao2025.
     sh_degree: degree of the spherical harmonics, 0 to 3; 2, or 3.
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
@@ -329,7 +328,20 @@ class GaussianSplatting:
         if self.start == "mvs":
             mvs = replace(INITIAL_MVS, poses=self.poses, memory=max(MIN_MEMORY_GB, self.memory), seed=self.seed)
             return mvs.reconstruct(scene, folder)
-        return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+        count = self._recipe.gaussians
+        try:
+            initial = ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+        except NoPointsError as error:
+            if self.start != "random" or self.poses == "solve" or not scene.cameras:
+                raise
+            cameras = {name: scene.cameras[name] for name in scene.images if name in scene.cameras}
+            points = points_in_view(list(cameras.values()), count, self.seed)
+            note = f"starts at random points where at least three cameras look: {error}"
+            return Reconstruction(Cloud(points), "georeferenced", cameras, [note], origin=scene.origin)
+        if self.start == "random":
+            points = points_in_bounds(initial.cloud.points, count, self.seed)
+            return replace(initial, cloud=Cloud(points, unit=initial.cloud.unit))
+        return initial
 
     def _needed_gigabytes(self, gaussians: float, cameras: Iterable[Camera]) -> float:
         """Return the memory of a training, in gigabytes."""
@@ -473,7 +485,9 @@ class GaussianSplatting:
         selection_split = split_for_selection(candidates, {name: camera.position for name, camera in cameras.items()})
         held_out_blocks = [[photographs[name] for name in block] for block in selection_split.blocks]
         shown = [photographs[name] for name in names if name not in selection_split.test]
-        return Parsimonious(held_out_blocks, CRITERIA[self.select], score), shown
+        most = self._recipe.gaussians
+        density = Parsimonious(held_out_blocks, max(2, most // _GROWTH), most, CRITERIA[self.select], score)
+        return density, shown
 
     def _train(self, folder: Path, part: _Part, workspace: Path, key: str) -> None:
         progress("creating the initial Gaussians")
@@ -487,7 +501,8 @@ class GaussianSplatting:
             )
         density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids, depths)
         background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
-        model = initial_model(initial.cloud, frame, self._recipe.gaussians, self.seed, random=self.start == "random")
+        count = density.start_gaussians if isinstance(density, Parsimonious) else self._recipe.gaussians
+        model = initial_model(initial.cloud, frame, count, self.seed)
         training = Training(
             model.to(part.device),
             training_photographs,
@@ -537,12 +552,18 @@ class GaussianSplatting:
             in_blocks: whether the scene was trained in blocks, whose numbers `_blocks_notes` describes.
         """
         if (folder / CURVE).is_file():
-            yield f"{Curve.read(folder / CURVE).sentence}; all models tried: {folder / CURVE}"
+            curve = Curve.read(folder / CURVE)
+            yield f"{curve.sentence}; all models tried: {folder / CURVE}"
+            if (views := len(curve.budgets[0].scores[0])) < _MIN_SELECTION_VIEWS:
+                yield (
+                    f"warning: only {views} held-out photographs decide on the number of Gaussians, so it may be too"
+                    " small: give more images"
+                )
         elif self.density == "parsimonious" and not in_blocks:
             condition = " with depths that three images confirm" if self.select == "surface" else ""
             yield (
-                f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
-                f" images{condition}"
+                f"warning: the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES}"
+                f" training images{condition}"
             )
         steps, rules = self._recipe.steps, self._recipe.densification
         if rules is not None and rules.refine_start >= rules.refine_stop_share * steps:
@@ -554,9 +575,10 @@ class GaussianSplatting:
 
     def _few_points_note(self, points: int) -> Iterator[str]:
         """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""
-        if self.start == "random" or self._recipe.densification or points >= _MIN_START_SHARE * self._recipe.gaussians:
+        adds = self._recipe.densification is not None or self.density == "parsimonious"
+        if self.start == "random" or adds or points >= _MIN_START_SHARE * self._recipe.gaussians:
             return
-        remedy = "density=classic" if self.start == "mvs" else "density=classic, which adds them, or start=mvs"
+        remedy = "density=parsimonious, which adds them" + (", or start=mvs" if self.start == "sfm" else "")
         yield (
             f"few Gaussians: training starts at the {points:,} points of start={self.start}, and density={self.density}"
             f" adds none up to gaussians={self._recipe.gaussians:,}; set {remedy}"
@@ -625,7 +647,8 @@ def _exposure_note(
     if held_out:
         background = model.means.new_tensor(color)
         raw, fitted = (
-            np.mean(evaluate(model, held_out, background, fit_exposure=fit_exposure)) for fit_exposure in (False, True)
+            np.mean([score.psnr for score in evaluate(model, held_out, background, fit_exposure=fit_exposure)])
+            for fit_exposure in (False, True)
         )
         scores = f"; PSNR of held-out views {raw:.2f} dB as rendered, {fitted:.2f} dB with their brightness fitted too"
     yield f"brightness of the photographs from {gains[dark]:.2f} ({dark}) to {gains[bright]:.2f} ({bright}){scores}"
@@ -637,27 +660,22 @@ def _color_text(color: NDArray[np.float32]) -> str:
     return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
-def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
-    """Create the Gaussians that training starts with, at points of a cloud or at random in their bounding box.
+def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int) -> Gaussians:
+    """Create the Gaussians that training starts with, at points of a cloud.
 
     Args:
         cloud: initial points in the world, with colors or without.
         frame: the frame of the model.
         max_gaussians: maximum number of Gaussians; a larger cloud is sampled.
         seed: seed of the random numbers.
-        random: uniformly distributed positions instead of the cloud's points.
 
     Raises:
         ReconstructionError: the cloud has fewer than two points.
     """
     points, colors = cloud.points, cloud.colors
-    rng = np.random.default_rng([seed, 2])
-    if random:
-        lower, upper = robust_bounds(points)
-        points, colors = rng.uniform(lower, upper, size=(max_gaussians, 3)), None
-    elif len(points) > max_gaussians:
+    if len(points) > max_gaussians:
         # At random: a dense cloud has more points where the photographs are closer, and the model needs more there.
-        rows = np.sort(rng.choice(len(points), max_gaussians, replace=False))
+        rows = np.sort(np.random.default_rng([seed, 2]).choice(len(points), max_gaussians, replace=False))
         points, colors = points[rows], None if colors is None else colors[rows]
     if len(points) < 2:
         raise ReconstructionError(f"expected at least 2 initial points, got {len(points)}: set start=random")

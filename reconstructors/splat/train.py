@@ -345,14 +345,26 @@ def render(model: Gaussians, view: View, background: Tensor | None = None) -> Te
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
+class ImageScore(NamedTuple):
+    """Likeness of a rendering and its photograph, over the valid pixels.
+
+    Attributes:
+        psnr: dB.
+        ssim: structural similarity (Wang et al. 2004); pixels that are not valid are black in both images.
+    """
+
+    psnr: float
+    ssim: float
+
+
 def evaluate(
     model: Gaussians,
     photographs: Sequence[Photograph],
     background: Tensor | None = None,
     *,
     fit_exposure: bool = False,
-) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels.
+) -> list[ImageScore]:
+    """Return the score of each photograph.
 
     Args:
         model: the Gaussians.
@@ -366,9 +378,12 @@ def evaluate(
         rendering, target = render(model, photograph.view, background), photograph.over(background)
         if fit_exposure:
             rendering = (rendering * least_squares_gain(target, rendering, photograph.valid)).clamp(0, 1)
+        if photograph.valid is not None:
+            rendering, target = (image * photograph.valid[..., None] for image in (rendering, target))
         square = (rendering - target) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
-        scores.append(float(_psnr(valid.double().mean())))
+        ssim = kernels_of(model.means.device).image_loss(rendering.contiguous(), target.contiguous(), 1.0).ssim
+        scores.append(ImageScore(float(_psnr(valid.double().mean())), float(ssim)))
     return scores
 
 

@@ -24,7 +24,8 @@ def test_the_page_follows_the_previews(tmp_path):
     text = (tmp_path / PAGE).read_text()
     assert REFRESH in text and preview_of((10, 20)).sentence in text
     assert text.count("data:image/png;base64,") == 2
-    assert text.count("<svg") == 2
+    assert text.count("<svg") == 4  # PSNR and number over the steps, PSNR and SSIM over the number
+    assert "Few suffice." in text
     written = (tmp_path / PAGE).stat().st_mtime_ns
     page.update()
     assert (tmp_path / PAGE).stat().st_mtime_ns == written
@@ -49,10 +50,11 @@ def test_curves_are_inside_the_chart(tmp_path):
     for steps in ((7, 7, 7), (3, 990, 12345)):
         write_preview_folder(tmp_path, steps)
         page.update()
-        for path in re.findall(r' d="M([^"]*)"', (tmp_path / PAGE).read_text()):
-            for point in path.split("L"):
-                x, y = map(float, point.split())
-                assert 36 <= x <= 508 and 26 <= y <= 220
+        for path in re.findall(r' d="([^"]*)"', (tmp_path / PAGE).read_text()):
+            for command, numbers in re.findall(r"([MLHV])([^MLHV]*)", path):
+                values = [*map(float, numbers.split())]
+                assert command == "V" or 36 <= values[0] <= 508
+                assert command == "H" or 26 <= values[-1] <= 220
 
 
 @pytest.mark.usefixtures("off_screen")

@@ -27,7 +27,15 @@ TEXTS = dict.fromkeys(("done", "step", "loss", "psnr", "held_out_psnr", "gaussia
 
 
 @pytest.mark.parametrize(
-    "change", [{"schema": "x"}, {"history": []}, {"history": [{"step": 1}]}, {"steps": None}, {"history": [TEXTS]}]
+    "change",
+    [
+        {"schema": "x"},
+        {"history": []},
+        {"history": [{"step": 1}]},
+        {"steps": None},
+        {"history": [TEXTS]},
+        {"sizes": [{"gaussians": "x"}]},
+    ],
 )
 def test_a_damaged_preview_is_one_line(tmp_path, change):
     folder = write_preview_folder(tmp_path, (10,))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,9 +11,11 @@ from pcbench.report.colors import SERIES
 from pcbench.report.html.charts import CurveChart, Series, Tick
 from pcbench.report.html.template import Opening, Origin, render
 from pcbench.report.plot.rounding import round_length
-from pcbench.scenes.previews import PHOTOGRAPH, RENDERING, Preview, Progress
+from pcbench.scenes.previews import PHOTOGRAPH, RENDERING, Preview, Progress, SizeScore
 
 REFRESH_S = 10
+_HALF_MARK = 5  # half the length of the mark of a score, in SVG units
+_DEGREE_SHIFT = 4  # between models of the same number of Gaussians
 
 
 def training_page(preview: Preview, folder: Path, command: str, *, running: bool) -> str:
@@ -28,6 +31,7 @@ def training_page(preview: Preview, folder: Path, command: str, *, running: bool
         OSError: a picture cannot be read.
     """
     last = "This page is loaded again every 10 s." if running else "The training has ended."
+    sentences = [*filter(None, (preview.sentence, preview.decision)), f"{last} In a window: {command}"]
     note = "held out" if preview.is_held_out else "trained on"
     pictures = [
         {"title": title, "note": f"{preview.view}, {note}", "data": _data(folder / file)}
@@ -35,11 +39,12 @@ def training_page(preview: Preview, folder: Path, command: str, *, running: bool
     ]
     return render(
         "training.html",
-        Opening("Training", "Gaussian splatting", "", [preview.sentence, f"{last} In a window: {command}"]),
+        Opening("Training", "Gaussian splatting", "", sentences),
         Origin(None),
         refresh_s=REFRESH_S if running else None,
         pictures=pictures,
         charts=_charts(preview.history),
+        size_charts=_size_charts(preview.sizes),
     )
 
 
@@ -67,6 +72,48 @@ def _charts(history: Sequence[Progress]) -> list[CurveChart]:
             from_zero=True,
         ),
     ]
+
+
+def _size_charts(sizes: Sequence[SizeScore]) -> list[CurveChart]:
+    """Return a chart of each score of the models that were tried, over their numbers of Gaussians."""
+    return [
+        _size_chart(metric, [s for s in sizes if s.metric == metric]) for metric in dict.fromkeys(s[2] for s in sizes)
+    ]
+
+
+def _size_chart(metric: str, sizes: Sequence[SizeScore]) -> CurveChart:
+    """Return a chart with a cross for each model: its score, and the interval of its difference from the best."""
+    name, _, unit = metric.partition(", ")
+    counts = sorted({size.gaussians for size in sizes})
+    y_ticks = _round_ticks(min(size.low for size in sizes), max(size.high for size in sizes))
+    low, high = y_ticks[0], y_ticks[-1]
+    span = math.log(counts[-1] / counts[0]) or 1.0
+
+    def x(count: int) -> float:
+        return CurveChart.left + (CurveChart.right - CurveChart.left) * (0.1 + 0.8 * math.log(count / counts[0]) / span)
+
+    def y(value: float) -> float:
+        return CurveChart.bottom - (CurveChart.bottom - CurveChart.top) * (value - low) / (high - low)
+
+    paths: dict[str, str] = {}
+    for size in sizes:
+        label = "chosen" if size.chosen else f"degree {size.degree}"
+        column = x(size.gaussians) + _DEGREE_SHIFT * size.degree
+        interval = f"M{column:.1f} {y(size.low):.1f}V{y(size.high):.1f}"
+        mean = f"M{column - _HALF_MARK:.1f} {y(size.score):.1f}H{column + _HALF_MARK:.1f}"
+        paths[label] = paths.get(label, "") + interval + mean
+    series = [Series(label, color, path) for (label, path), color in zip(paths.items(), SERIES, strict=False)]
+    x_ticks = [Tick(x(count), _short(count)) for count in counts]
+    title = f"{name} of held-out photographs, with 95 % intervals of the difference from the best"
+    return CurveChart(
+        title,
+        "Gaussians",
+        unit,
+        series,
+        x_ticks,
+        [Tick(y(tick), f"{tick:g}".removeprefix("0") or "0") for tick in y_ticks],
+        [],
+    )
 
 
 def _chart(

@@ -5,7 +5,7 @@ from optional import import_or_skip
 
 torch = import_or_skip("torch")
 
-from splat_training import grey, numbers, truth  # noqa: E402
+from splat_training import grey, mean_psnr, numbers, truth  # noqa: E402
 
 from reconstructors.splat.background import Background  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
@@ -50,7 +50,7 @@ def test_the_color_behind_opaque_photographs_is_learned():
     learned, black = (train(known, model, choice) for choice in ("learned", "black"))
     np.testing.assert_allclose(learned.background.color[0], SKY, atol=0.02)
     assert not black.background.color.any()
-    scores = [evaluate(run.model, new, run.background.color[0])[0] for run in (learned, black)]
+    scores = [evaluate(run.model, new, run.background.color[0])[0].psnr for run in (learned, black)]
     assert scores[0] > scores[1] + 3
 
 
@@ -83,7 +83,7 @@ def test_the_model_is_transparent_where_the_photographs_are():
     assert random.background.color.tolist() == white.background.color.tolist() == [[1, 1, 1]]
 
     def score(run, color):
-        return np.mean(evaluate(run.model, views, torch.tensor(color)))
+        return mean_psnr(run.model, views, torch.tensor(color))
 
     assert score(random, (0.0, 0.0, 0.0)) > score(white, (0.0, 0.0, 0.0)) + 1
 

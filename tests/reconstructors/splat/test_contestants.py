@@ -51,11 +51,11 @@ def test_training_runs_with_another_rasterizer():
     for render in (None, render_plainly):
         model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
         training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, downscale_shares=(0, 0)), Density())
-        before = evaluate(training.model, [photograph])[0]
+        before = evaluate(training.model, [photograph])[0].psnr
         if render is not None:
             training._rasterizer = RasterizerByAutograd(render)
         training.run(25)
-        scores.append(evaluate(training.model, [photograph])[0])
+        scores.append(evaluate(training.model, [photograph])[0].psnr)
     assert scores[0] > before + 0.2
     assert scores[1] == pytest.approx(scores[0], abs=0.02)
 
@@ -105,10 +105,10 @@ def test_the_bench_prints_a_row_for_each_contestant():
 BENCHES = {  # options for a short run, pattern of a row, and number of rows
     "splat_train": (["--counts=300,600", "--steps=30,60", "--seeds=2"], r"pcbench +\d+ +\d+(?: +\S+ ± \S+){6} *", 3),
     "splat_clouds": (["--steps=40", "--gaussians=800", "--cases=circles, seed 11"], r".* +\d+ +\S+(?: +\S+){7}", 11),
-    "splat_budget": (
-        ["--steps=40", "--gaussians=800", "--cases=circles, seed 11"],
-        r"(?:chosen|fixed) +[\d,]+ of degree \d: \d+\.\d\d dB held out, \d+ CPU s, surface \S+ m, F-score \S+",
-        2,
+    "splat_variants": (
+        ["--steps=40", "--gaussians=800", "--scenes=circles, seed 11"],
+        r"(?:classic|growing|parsimonious|fixed) from (?:sfm|mvs)(?: +[\d,.]+){7}",
+        4,
     ),
 }
 

@@ -6,12 +6,12 @@ from optional import import_or_skip
 
 torch = import_or_skip("torch")
 
-from splat_training import grey, numbers, truth  # noqa: E402
+from splat_training import grey, mean_psnr, numbers, truth  # noqa: E402
 
 from reconstructors.splat.background import Background  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.exposure import Exposure, least_squares_gain, median_gain, read_gains, write_gains  # noqa: E402
-from reconstructors.splat.train import Schedule, Training, evaluate, render  # noqa: E402
+from reconstructors.splat.train import Schedule, Training, render  # noqa: E402
 
 GAINS = [1.0, 0.7, 0.9, 0.6, 0.95, 0.8, 1.0, 0.75]
 
@@ -49,7 +49,7 @@ def test_gains_are_found_and_colors_are_right():
     np.testing.assert_allclose(list(runs[0].exposure.gains.values()), expected, rtol=0.03)
     views = [pyramid[0] for pyramid in pictures]
     scores = [
-        np.mean(evaluate(run.model, views[::2], run.background.color[0], fit_exposure=fit))
+        mean_psnr(run.model, views[::2], run.background.color[0], fit_exposure=fit)
         for run, fit in ((runs[0], True), (runs[1], True), (runs[0], False))
     ]
     assert scores[0] > scores[1] + 3

@@ -1,6 +1,7 @@
 """The reconstructor around the training: masks, keys of checkpoints, and the limit of memory."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,15 +10,20 @@ from optional import import_or_skip
 from PIL import Image
 from wording import check_error, check_text
 
+from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import look_at
+from pcbench.geometry.visibility import in_frame
 from pcbench.io import read_cloud
 from pcbench.scenes import read_scene
 from pcbench.scenes.views import read_views
 
 torch = import_or_skip("torch")
 
+from reconstructors.sfm.features import NoPointsError  # noqa: E402
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.exposure import read_gains  # noqa: E402
 from reconstructors.splat.recipes import Recipe  # noqa: E402
+from reconstructors.splat.start import points_in_view  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402
 
 QUICK_SETTINGS = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
@@ -113,11 +119,37 @@ def test_a_note_reports_that_no_gaussian_is_added_to_few_points(train):
     def notes(**settings):
         return [note for note in train(**settings).notes if "few Gaussians" in note]
 
-    for density in ("fixed", "parsimonious"):
-        (note,) = notes(density=density, gaussians=2000)
-        assert "at the 400 points" in check_text(note)
-    assert not notes(density="classic", gaussians=2000)
+    (note,) = notes(density="fixed", gaussians=2000)
+    assert "at the 400 points" in check_text(note)
+    for density in ("classic", "parsimonious"):  # they add Gaussians
+        assert not notes(density=density, gaussians=2000)
     assert not notes(density="fixed", gaussians=800)
+
+
+def test_cameras_suffice_for_a_random_start(train, monkeypatch):
+    """Photographs without features have no sparse points."""
+
+    def find_nothing(*_):
+        raise NoPointsError("no features")
+
+    monkeypatch.setattr(corner.RandomPointsSfm, "reconstruct", find_nothing)
+    check_text(next(note for note in train(start="random").notes if "no features" in note))
+    for settings in ({"start": "sfm"}, {"start": "random", "poses": "solve"}):
+        with pytest.raises(NoPointsError):
+            train(**settings)
+
+
+def test_random_points_are_where_three_cameras_look():
+    cameras = corner.cameras(8, corner.standard_intrinsics(64, 48))
+    points = points_in_view(cameras, 500, 0)
+    views = sum(in_frame(camera, points).astype(int) for camera in cameras)
+    assert points.shape == (500, 3) and views.min() >= 3
+    assert np.mean(views) > 6  # all look at the corner
+    backwards = [
+        replace(camera, cam_from_world=look_at(camera.position, 2 * camera.position)) for camera in cameras[::4]
+    ]
+    with check_error(ReconstructionError):
+        points_in_view(backwards, 500, 0)
 
 
 def test_transparent_photographs_are_trained_and_rendered_as_such(train, tmp_path):

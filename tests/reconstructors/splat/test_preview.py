@@ -43,7 +43,7 @@ def test_previews_do_not_change_the_training(tmp_path, monkeypatch):
     assert [row.done for row in preview.history] == [*range(1, 21), 20]  # after each step, and at the end
     assert (preview.steps, preview.view, preview.is_held_out) == (20, "0", True)
     last = preview.history[-1]
-    assert last.held_out_psnr == pytest.approx(evaluate(model, [pictures[0][0]])[0])
+    assert last.held_out_psnr == pytest.approx(evaluate(model, [pictures[0][0]])[0].psnr)
     assert (last.psnr, last.gaussians) == (training.mean_psnr, 60)
     assert 0 < last.loss < preview.history[6].loss  # each of seven photographs was used
     rendering, photograph = (decode_image(tmp_path / "preview" / name, (48, 32)) for name in (RENDERING, PHOTOGRAPH))

@@ -13,16 +13,16 @@ from pcbench.geometry.cameras import look_at
 
 torch = import_or_skip("torch")
 
-from splat_training import grey, numbers, truth  # noqa: E402
+from splat_training import grey, mean_psnr, numbers, truth  # noqa: E402
 
-from reconstructors.splat.density import Classic, Density, split  # noqa: E402
+from reconstructors.splat.density import Classic, Density, halve, split  # noqa: E402
 from reconstructors.splat.devices import kernels_of  # noqa: E402
 from reconstructors.splat.interface import Gradients  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.optimizer import LearningRates, Optimizer  # noqa: E402
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_checkpoint, save_model  # noqa: E402
 from reconstructors.splat.rotations import rotate  # noqa: E402
-from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
+from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
 def new_training(density=Density(), steps=160, **schedule):  # noqa: B008
@@ -35,9 +35,9 @@ def new_training(density=Density(), steps=160, **schedule):  # noqa: B008
 def test_images_approach_the_photographs():
     training = new_training()
     pictures = [pyramid[0] for pyramid in training.photographs]
-    before = np.mean(evaluate(training.model, pictures))
+    before = mean_psnr(training.model, pictures)
     training.run(160)
-    assert np.mean(evaluate(training.model, pictures)) > before + 8
+    assert mean_psnr(training.model, pictures) > before + 8
     assert training.model.degree == 1
 
 
@@ -125,7 +125,7 @@ def test_masked_pixels_do_not_influence_training():
     for unmasked_pyramid, masked_pyramid in zip(unmasked.photographs, masked.photographs, strict=True):
         unmasked_pyramid[0] = masked_pyramid[0]._replace(valid=None)
     unmasked.run(60)
-    psnr_with_mask, psnr_without_mask = (np.mean(evaluate(run.model, plain_views)) for run in (masked, unmasked))
+    psnr_with_mask, psnr_without_mask = (mean_psnr(run.model, plain_views) for run in (masked, unmasked))
     assert psnr_with_mask > psnr_without_mask + 2
 
 
@@ -194,6 +194,20 @@ def test_splitting_keeps_the_distribution_and_shrinks():
     local = rotate(inverse_rotation.repeat(8000, 1), halves.means - copies.means[0])
     np.testing.assert_allclose(local.std(dim=0), copies.scales[0], rtol=0.04)
     np.testing.assert_allclose(local.mean(dim=0) / copies.scales[0], 0, atol=0.05)
+
+
+def test_two_halves_have_the_moments_and_the_opacity_of_the_whole():
+    whole, _ = truth()
+    whole.logits.clamp_(max=2.0)
+    halves = halve(whole)
+    first, second = (halves.select(slice(k * len(whole), (k + 1) * len(whole))) for k in (0, 1))
+    np.testing.assert_allclose((first.means + second.means) / 2, whole.means, atol=1e-6)
+    inverse_rotations = whole.quats * torch.tensor([1.0, -1, -1, -1])
+    offsets = rotate(inverse_rotations, first.means - whole.means)  # along the axes
+    torch.testing.assert_close(first.scales**2 + offsets**2, whole.scales**2)
+    # Alpha at the centre of the whole, from which both halves are equally far.
+    alphas = first.opacities * torch.exp(-((offsets / first.scales) ** 2).sum(dim=1) / 2)
+    torch.testing.assert_close(1 - (1 - alphas) ** 2, whole.opacities, rtol=1e-5, atol=1e-5)
 
 
 def test_classic_density_respects_the_maximum_and_prunes_low_opacities():

@@ -14,6 +14,7 @@ from pcbench.geometry.cameras import look_at
 torch = import_or_skip("torch")
 
 from cuda_emulator import EmulatedCuda, Emulator  # noqa: E402
+from splat_training import mean_psnr  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
@@ -26,7 +27,7 @@ from reconstructors.splat.optimizer import raise_sh_degree  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
 from reconstructors.splat.resume import load_model, save_model  # noqa: E402
 from reconstructors.splat.splat import GaussianSplatting  # noqa: E402
-from reconstructors.splat.train import Schedule, Training, evaluate, render  # noqa: E402
+from reconstructors.splat.train import Schedule, Training, render  # noqa: E402
 from reconstructors.splat.view import View  # noqa: E402
 
 GAUSSIANS, STEPS = 60, 200
@@ -77,7 +78,7 @@ def parts(model):
 
 
 def psnr(training):
-    return np.mean(evaluate(training.model, [pyramid[0] for pyramid in training.photographs]))
+    return mean_psnr(training.model, [pyramid[0] for pyramid in training.photographs])
 
 
 def assert_similar(ours, theirs, order, tolerance=1e-4):
