@@ -146,10 +146,10 @@ def _global_from_local(local: FloatArray, centred: FloatArray) -> FloatArray:
     except InputError:
         raise InputError(
             "expected cameras on a curve, got a straight flight in local coordinates, which does not determine the"
-            " rotation: export again with global coordinates"
+            " rotation: export it again with global coordinates"
         ) from None
     if (error := float(np.abs(fit.apply(local) - centred).max())) > 1e-2:
-        raise InputError(f"positions and coordinates differ by {error:.3g} m: export again with global coordinates")
+        raise InputError(f"positions and coordinates differ by {error:.3g} m: export it again with global coordinates")
     return fit.rotation
 
 

@@ -245,7 +245,7 @@ def _array(content: Any, buffers: list[bytes], number: Any, widths: tuple[int, .
     if dtype is None or width not in widths:
         got = f"{accessor.get('type')} of {accessor.get('componentType')}"[:60]
         raise InputError(
-            f"expected arrays of vectors with {' or '.join(map(str, widths))} numbers, got {got}: export again"
+            f"expected arrays of vectors with {' or '.join(map(str, widths))} numbers, got {got}: export it again"
         )
     assert width is not None
     row = np.dtype((dtype, (width,)))

@@ -171,7 +171,7 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
             raise InputError(
-                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}: export again"
+                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}: export it again"
             )
         if key in entries:
             raise InputError(f"header: expected one {key} line, got two: export the file again")
@@ -198,7 +198,7 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         raise InputError("expected at least one point, got POINTS 0: export the file again")
     if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA_KINDS:
         raise InputError(
-            f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}: export again"
+            f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}: export it again"
         )
     viewpoint = " ".join(entries.get("VIEWPOINT", [_IDENTITY]))
     return _PcdHeader(fields, count, area, entries["DATA"][0].lower(), viewpoint)

@@ -218,7 +218,7 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
                     raise InputError("expected one format line, got a second: export the file again")
                 case ["format", *_]:
                     raise InputError(
-                        f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}: export again"
+                        f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}: export it again"
                     )
                 case ["element", name, count]:
                     if name in elements:
@@ -230,7 +230,7 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
                     raise InputError("expected an element before the first property: export it again")
                 case _:
                     raise InputError(
-                        f"expected format, element, property, comment or end_header, got {excerpt(line)}: export again"
+                        f"expected format, element, property, comment or end_header, got {excerpt(line)}: export it again"
                     )
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
@@ -243,7 +243,7 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
 def _count(word: str, element: str) -> int:
     if not word.isdigit():
         raise InputError(
-            f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}: export again"
+            f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}: export it again"
         )
     if len(word) > _MAX_COUNT_DIGITS:
         raise InputError(f"{word[:40]} of {element!r} are more than any file contains: export it again")
@@ -255,7 +255,7 @@ def _property(words: list[str]) -> Property:
         case ["list", length, item, name]:
             counter = _type(length)
             if counter.kind == "f":
-                raise InputError(f"expected an integer type for the list length, got {length!r}: export again")
+                raise InputError(f"expected an integer type for the list length, got {length!r}: export it again")
             return Property(name, _type(item), counter)
         case [item, name] if item != "list":
             return Property(name, _type(item))

@@ -132,7 +132,7 @@ def test_fingerprints():
         (even.count_inside, {"CountedPoints"}),
         (even.picked_points, {"PickedPoints"}),
         (nearby.spread_tile, {"PickedPoints"}),
-        (nearby.near_points, {"NearPoints"}),
+        (nearby.near_points, {"Matches", "NearPoints"}),
         (nearby.thin_tile, {"TileSummary"}),
         (nearby.displace_tile, {"TileSummary"}),
         (windows.points_in_windows, {"StoredPoints"}),
