@@ -171,7 +171,8 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
             raise InputError(
-                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}: export it again"
+                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}"
+                ": export it again"
             )
         if key in entries:
             raise InputError(f"header: expected one {key} line, got two: export the file again")

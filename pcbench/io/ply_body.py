@@ -129,7 +129,8 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
             length = unpack(data, offset)[0]
             if length < 0:
                 raise InputError(
-                    f"expected a list length of 0 or more, got {length} after {element.count_text(row)}: export it again"
+                    f"expected a list length of 0 or more, got {length} after {element.count_text(row)}"
+                    ": export it again"
                 )
             lengths.append(length)
             offset += counter_bytes + length * item_bytes

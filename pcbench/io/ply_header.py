@@ -230,7 +230,8 @@ def _parse_header(file: BinaryIO) -> PlyHeader:
                     raise InputError("expected an element before the first property: export it again")
                 case _:
                     raise InputError(
-                        f"expected format, element, property, comment or end_header, got {excerpt(line)}: export it again"
+                        f"expected format, element, property, comment or end_header, got {excerpt(line)}"
+                        ": export it again"
                     )
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
@@ -261,7 +262,7 @@ def _property(words: list[str]) -> Property:
             return Property(name, _type(item))
     raise InputError(
         f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}:"
-        " export again"
+        " export it again"
     )
 
 

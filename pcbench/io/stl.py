@@ -78,7 +78,8 @@ def _ascii_stl(data: bytes) -> FloatArray:
     if len(damaged) or complete_words < len(words):
         facet = damaged[0] if len(damaged) else len(table)
         raise InputError(
-            f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet': export it again"
+            f"facet {facet}: expected 'facet normal x y z outer loop vertex x y z ... endloop endfacet'"
+            ": export it again"
         )
     try:
         return table[:, _CORNER_POSITIONS].astype(np.float64).reshape(-1, 3, 3)
