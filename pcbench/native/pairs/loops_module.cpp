@@ -110,7 +110,8 @@ bool order_statistics(Column values, std::optional<double> center, Indices ranks
 
 void medians_of_rows(Column values, In<int64_t, nb::ndim<2>> rows, Out<double, nb::shape<-1>> medians) {
     const size_t count = rows.shape(0), k = rows.shape(1);
-    check(k > 0 && medians.shape(0) == count, "medians_of_rows: expected one result for each row of at least one index");
+    check(k > 0 && medians.shape(0) == count,
+          "medians_of_rows: expected one result for each row of at least one index");
     bool in_range = true;
     for (size_t i = 0; i < count * k; ++i) in_range &= static_cast<uint64_t>(rows.data()[i]) < values.shape(0);
     if (!in_range) throw nb::index_error("medians_of_rows: expected indices of values");
@@ -151,10 +152,9 @@ bool add_to_pixels(Points points, Column distances, Column signed_distances, dou
               signed_counts.shape(0) == pixels && signed_limbs.shape(0) == pixels,
           "add_to_pixels: expected one sum for each pixel");
     const nb::gil_scoped_release release;
-    return pcbench::add_to_pixels({west, south, pixel, width, height}, count, points.data(), distances.data(),
-                                  signed_distances.data(),
-                                  {counts.data(), signed_counts.data(), limbs.data(), signed_limbs.data(),
-                                   largest.data()});
+    return pcbench::add_to_pixels(
+        {west, south, pixel, width, height}, count, points.data(), distances.data(), signed_distances.data(),
+        {counts.data(), signed_counts.data(), limbs.data(), signed_limbs.data(), largest.data()});
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
@@ -303,19 +303,21 @@ void bind_loops(nb::module_& m) {
         "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
         "written in place. Returned is False, and nothing is written, if a value is NaN.");
     m.def("medians_of_rows", &medians_of_rows, nb::arg("values").noconvert(), nb::arg("rows").noconvert(),
-          nb::arg("medians").noconvert(), "Median (M,) of the values (N,) at each row of indices (M, K), written in place.");
+          nb::arg("medians").noconvert(),
+          "Median (M,) of the values (N,) at each row of indices (M, K), written in place.");
     m.def("add_exactly", &add_exactly, nb::arg("values").noconvert(), nb::arg("groups").noconvert(),
           nb::arg("limbs").noconvert(),
           "Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts\n"
           "2^(32 k - 128), in two's complement. Returned is False if a value is not finite or not below 2^96 in\n"
           "magnitude.");
-    m.def("add_to_pixels", &add_to_pixels, nb::arg("points").noconvert(), nb::arg("distances").noconvert(),
-          nb::arg("signed_distances").noconvert(), nb::arg("west"), nb::arg("south"), nb::arg("pixel"),
-          nb::arg("width"), nb::arg("height"), nb::arg("counts").noconvert(), nb::arg("limbs").noconvert(),
-          nb::arg("largest").noconvert(), nb::arg("signed_counts").noconvert(), nb::arg("signed_limbs").noconvert(),
-          "Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in\n"
-          "place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.\n"
-          "Returned is False if a distance is not finite or not below 2^96.");
+    m.def(
+        "add_to_pixels", &add_to_pixels, nb::arg("points").noconvert(), nb::arg("distances").noconvert(),
+        nb::arg("signed_distances").noconvert(), nb::arg("west"), nb::arg("south"), nb::arg("pixel"), nb::arg("width"),
+        nb::arg("height"), nb::arg("counts").noconvert(), nb::arg("limbs").noconvert(), nb::arg("largest").noconvert(),
+        nb::arg("signed_counts").noconvert(), nb::arg("signed_limbs").noconvert(),
+        "Add distances (N,), and signed ones (N,) where they are finite, to the pixels of a raster over x and y, in\n"
+        "place: counts (P,), sums (P, 8) as in `add_exactly`, and largest distances (P,), row by row from the south.\n"
+        "Returned is False if a distance is not finite or not below 2^96.");
     m.def("round_exactly", &round_exactly, nb::arg("limbs").noconvert(), nb::arg("sums").noconvert(),
           "Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's\n"
           "complement.");
@@ -349,7 +351,8 @@ void bind_loops(nb::module_& m) {
           nb::arg("normals").noconvert(), nb::arg("rows").noconvert().none(), nb::arg("distances").noconvert(),
           nb::arg("queries").noconvert(), nb::arg("center").noconvert(), nb::arg("radius"), nb::arg("group_size"),
           nb::arg("steps").noconvert(), nb::arg("moments").noconvert(), nb::arg("scores").noconvert(),
-          "Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i has\n"
+          "Add some queries, in groups of a fixed size, to sums as in `normal_equations` with equal weights. Query i "
+          "has\n"
           "the place and the normal of row i, or of rows[i]; places are taken relative to a centre, and places and\n"
           "distances in units of a radius.");
     m.def(

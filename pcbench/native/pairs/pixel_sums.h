@@ -16,8 +16,8 @@ struct PixelGrid {
     // Number of the pixel of a point, row by row from the south; -1 outside.
     int64_t pixel_of(const double* point) const {
         const double column = std::floor((point[0] - west) / pixel), row = std::floor((point[1] - south) / pixel);
-        const bool inside = column >= 0 && column < static_cast<double>(width) && row >= 0 &&
-                            row < static_cast<double>(height);
+        const bool inside =
+            column >= 0 && column < static_cast<double>(width) && row >= 0 && row < static_cast<double>(height);
         return inside ? static_cast<int64_t>(row) * width + static_cast<int64_t>(column) : -1;
     }
 };

@@ -15,8 +15,19 @@ namespace pcbench::PCB_ISA {
 
 #define PCB_QUOTE_(name) #name
 #define PCB_QUOTE(name) PCB_QUOTE_(name)
-extern const Kernels kernels = {PCB_QUOTE(PCB_ISA), sort_into_leaves,   build_upper_levels, nearest,    follow,
-                                knearest,           knearest_bytes,     in_balls,           in_cylinders, count_near,
-                                planes,             GroupPlanes::bytes, normal_equations,   whole_normal_equations};
+extern const Kernels kernels = {PCB_QUOTE(PCB_ISA),
+                                sort_into_leaves,
+                                build_upper_levels,
+                                nearest,
+                                follow,
+                                knearest,
+                                knearest_bytes,
+                                in_balls,
+                                in_cylinders,
+                                count_near,
+                                planes,
+                                GroupPlanes::bytes,
+                                normal_equations,
+                                whole_normal_equations};
 
 }  // namespace pcbench::PCB_ISA

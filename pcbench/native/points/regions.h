@@ -129,8 +129,7 @@ public:
         const Leaf& leaf = tree_.leaves[id];
         const Vector distance = sqrt(squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
                                                     splat(query_[2]) - load(leaf.z)));
-        for (size_t s = 0; s < limit_count_; ++s)
-            counts_[s] += __builtin_popcount(bits(distance <= splat(limits_[s])));
+        for (size_t s = 0; s < limit_count_; ++s) counts_[s] += __builtin_popcount(bits(distance <= splat(limits_[s])));
     }
 
     int64_t count(size_t s) const { return counts_[s]; }

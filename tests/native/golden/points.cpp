@@ -43,8 +43,8 @@ void golden::points() {
 
     std::vector<double> places(3 * kQueries), clearances(kQueries);
     for (int step = 0; step < 2; ++step) {  // the second one does not search
-        kernels.follow(tree, sorted.leaves.get(), sorted.leaf_count,
-                       {places.data(), rows.data(), clearances.data()}, distances.data(), interrupt);
+        kernels.follow(tree, sorted.leaves.get(), sorted.leaf_count, {places.data(), rows.data(), clearances.data()},
+                       distances.data(), interrupt);
         Hash(step == 0 ? "follow_first" : "follow_again").add(distances).add(rows).add(places).add(clearances);
     }
 
