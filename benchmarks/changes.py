@@ -121,7 +121,7 @@ def limit_samples(count: int) -> None:
 
     for module in (samples, details):
         module.MAX_SAMPLE = count
-    search.MAX_SCREENED = samples._COUNTED_POINTS = 4 * count
+    samples._COUNTED_POINTS, search.MAX_SCREENED = 4 * count, 8 * count
 
 
 # ---- runs ----

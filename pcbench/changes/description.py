@@ -64,12 +64,14 @@ class SampledPair(NamedTuple):
     Attributes:
         samples, evidence, normals: of the reference and the candidate.
         points: number of points among which the most significant ones are sought.
+        shows_whole: whether the samples show the whole scene. In small places, gaps and objects look alike.
     """
 
     samples: Sequence[Sample]
     evidence: Sequence[PointTests]
     normals: Sequence[FloatArray]
     points: int
+    shows_whole: bool = True
 
     @property
     def side(self) -> float:
@@ -123,7 +125,7 @@ def describe(parts: Sequence[ChangedPart], scene: SampledPair) -> list[tuple[Cha
     for part in unmoved:
         which = 0 if _is_removed(part, scene) else 1
         shown, direction = scene.shown(part)[which], _upward(part, scene)
-        is_visible = _is_visible(shown, scene.samples[1 - which], direction, scene.side)
+        is_visible = _is_visible(shown, scene.samples[1 - which], direction, scene)
         described.append((part, _grown(part, which, direction, scene) if is_visible else None))
     return described
 
@@ -335,14 +337,15 @@ def _in_plane(points: FloatArray, up: FloatArray) -> FloatArray:
     return coordinates
 
 
-def _is_visible(shown: Shown, other: Sample, up: FloatArray, side: float) -> bool:
+def _is_visible(shown: Shown, other: Sample, up: FloatArray, scene: SampledPair) -> bool:
     """Return whether the other cloud covers the place of a part.
 
     It does if it has points across most of the part's footprint, or if it surrounds the footprint of an object that
-    rises above its surroundings. Otherwise the other cloud ends there, or has a gap.
+    rises above its surroundings, in samples of the whole scene. Otherwise the other cloud ends there, or has a gap.
     """
     from scipy.ndimage import binary_dilation, binary_fill_holes
 
+    side = scene.side
     places, others = _in_plane(shown.points, up), _in_plane(other.points, up)
     span = max(float(np.ptp(places, axis=0).max()), 8 * side)
     lower, upper = places.min(axis=0) - span, places.max(axis=0) + span
@@ -355,6 +358,8 @@ def _is_visible(shown: Shown, other: Sample, up: FloatArray, side: float) -> boo
     texels = tuple(((places - lower) / step).astype(np.int64).T)
     if covered[texels].mean() >= _MIN_COVERED_SHARE:
         return True
+    if not scene.shows_whole:
+        return False
     surrounded = binary_fill_holes(covered)
     if surrounded[texels].mean() < _MIN_COVERED_SHARE:
         return False

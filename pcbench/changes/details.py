@@ -2,7 +2,7 @@
 
 A large scene has few sampled points on a car or a manhole cover. So some hundred thousand points of both clouds are
 compared with the other cloud, and cells in which they lie off it, unlike their surroundings, are searched again with
-all points that a finer sample holds. A place is only a suspicion: the search decides.
+a finer sample. A place is only a suspicion: the search decides.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from pcbench.geometry.voxels import cells
 
 # Ratio of the length scales of the whole scene's sample and of the finer one.
 MIN_GAIN, MAX_GAIN = 1.25, 8.0
-MAX_SCREENED = 240_000  # points of each cloud
+MAX_SCREENED = 480_000  # points of each cloud
 _FAR = 2.0  # distance from the other cloud's points, in length scales of the finer sample
 _MIN_FAR = 6  # far points of a suspicious cell
 _MIN_SHEET, _MIN_T = 6, 6.0  # points on a smooth surface, and their mean offset over its standard error
+_MIN_ERROR = 1e-3  # of an offset, in length scales of the finer sample: exact surfaces have none
 _REGION_CELLS = 25  # around a cell, whose median offset is expected in it
 _RING = 2  # cells around a suspicious one that are searched too: its surroundings decide what is normal
 _MAX_PLACES = 2_000
@@ -36,7 +37,7 @@ class Places:
     """Cubic cells of a grid that are searched again; a `pcbench.geometry.regions.Region`.
 
     Attributes:
-        cells: (C, 3) numbers of the cells along each axis, sorted.
+        cells: (C, 3) numbers of the cells along each axis.
         side: edge length of a cell.
         corner: (3,) lowest corner of the cell (0, 0, 0).
     """
@@ -64,17 +65,18 @@ class Places:
             return np.zeros(0, bool)
         grid = cells(points, self.side, self.corner)
         numbers = cell_numbers(points[grid.first], self.side, self.corner)
-        low, shape = self.cells.min(axis=0), np.ptp(self.cells, axis=0) + 1
-        near = np.flatnonzero(((numbers >= low) & (numbers < low + shape)).all(axis=1))
+        near = np.flatnonzero(((numbers >= self.cells.min(axis=0)) & (numbers <= self.cells.max(axis=0))).all(axis=1))
+        _, label = np.unique(np.concatenate([self.cells, numbers[near]]), axis=0, return_inverse=True)
+        own, others = np.split(label.ravel(), [len(self.cells)])
         inside = np.zeros(len(numbers), bool)
-        inside[near] = np.isin(*(np.ravel_multi_index((each - low).T, shape) for each in (numbers[near], self.cells)))
+        inside[near] = np.isin(others, own)
         mask: NDArray[np.bool_] = inside[grid.of_point]
         return mask
 
 
 def cell_numbers(points: FloatArray, side: float, corner: FloatArray) -> IntArray:
-    """Return the numbers (N, 3) of the cells of points (N, 3) along each axis."""
-    return np.floor((points - corner) / side).astype(np.int64)
+    """Return the numbers (N, 3) of the cells of points (N, 3) along each axis, up to 2^31, as in `cells`."""
+    return np.floor(np.clip((points - corner) / side, -(2.0**31), 2.0**31 - 1)).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +97,14 @@ class Screened:
 
 
 def find_places(
-    screens: tuple[Screened, Screened], side: float, finest: float, changed: FloatArray, corner: FloatArray
+    screens: tuple[Screened, Screened], side: float, finer: float, changed: FloatArray, corner: FloatArray
 ) -> Places | None:
     """Return the cells that are searched again, those with the largest offsets if there are many.
 
     Args:
         screens: points of the reference and of the candidate.
         side: length scale of the sample of the whole scene, the edge length of a cell.
-        finest: length scale of a sample that shows all that the points show.
+        finer: length scale of the finer sample.
         changed: (K, 3) sampled points of parts that the search of the whole scene found.
         corner: (3,) corner of the cells.
     """
@@ -113,13 +115,13 @@ def find_places(
     centers = (numbers + 0.5) * side + corner
     distances = np.concatenate([screen.distances for screen in screens])
     strength = np.maximum(
-        _far_distances(distances, grid.of_point, centers, finest), _offsets(screens, grid.of_point, centers)
+        _far_distances(distances, grid.of_point, centers, finer), _offsets(screens, grid.of_point, centers, finer)
     )
     if len(changed):
         strength[Index(changed).query(centers).distances <= (_RING + 1) * side] = 0
     order = np.argsort(-strength, kind="stable")[: np.count_nonzero(strength)]
     weights = np.concatenate([np.full(len(screen.points), screen.weight) for screen in screens])
-    most = SIDE_VOXELS**2 * _SURFACE_FOLD * (side / finest) ** 2
+    most = SIDE_VOXELS**2 * _SURFACE_FOLD * (side / finer) ** 2
     expected = np.minimum(np.bincount(grid.of_point, weights, count) / 2, most)
     return _largest(order, numbers, expected, side, corner)
 
@@ -131,17 +133,17 @@ def _medians_around(values: FloatArray, centers: FloatArray) -> FloatArray:
     return medians
 
 
-def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArray, finest: float) -> FloatArray:
+def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArray, finer: float) -> FloatArray:
     """Return the sum (C,) of the distances of far points in each cell; 0 if they are few."""
     count = len(centers)
     mean = np.bincount(of_point, distances, count) / np.bincount(of_point, minlength=count)
-    far = np.maximum(_FAR * finest, _FAR_RATIO * _medians_around(mean, centers))
+    far = np.maximum(_FAR * finer, _FAR_RATIO * _medians_around(mean, centers))
     is_far = distances > far[of_point]
     numbers = np.bincount(of_point[is_far], minlength=count)
     return np.where(numbers >= _MIN_FAR, np.bincount(of_point[is_far], distances[is_far], count), 0.0)
 
 
-def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: FloatArray) -> FloatArray:
+def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: FloatArray, finer: float) -> FloatArray:
     """Return the offset (C,) of each cell from its surroundings times its points; 0 if it is not significant."""
     count = len(centers)
     rows = np.flatnonzero(np.concatenate([screen.offsets.is_sheet for screen in screens]))
@@ -154,7 +156,7 @@ def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: Fl
     numbers, mean = numbers[tested], np.bincount(cell, values, count) / np.maximum(numbers, 1)
     variance = np.bincount(cell, np.square(values - mean[cell]), count)[tested] / (numbers - 1)
     contrast = mean[tested] - _medians_around(mean[tested], centers[tested])
-    error = np.maximum(np.sqrt(variance / numbers), shortest_width(contrast))
+    error = np.maximum(np.sqrt(variance / numbers), max(shortest_width(contrast), _MIN_ERROR * finer))
     strength[tested] = np.where(np.abs(contrast) >= _MIN_T * error, np.abs(contrast) * numbers, 0.0)
     return strength
 
@@ -162,7 +164,7 @@ def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: Fl
 def _largest(
     order: IntArray, numbers: IntArray, expected: FloatArray, side: float, corner: FloatArray
 ) -> Places | None:
-    """Return the first cells in an order, with their surroundings, that a sample of limited size holds.
+    """Return the first places in an order, cells with their surroundings, that a sample of limited size holds.
 
     Args:
         order: suspicious cells, the most suspicious one first.
@@ -175,7 +177,8 @@ def _largest(
     if not len(order):
         return None
     near = Index(numbers.astype(np.float64)).query_radius(numbers[order].astype(np.float64), _RING + 0.5)
-    chosen, first = np.unique(near.indices, return_index=True)
-    chosen = chosen[np.argsort(first)]
-    fitting = chosen[np.cumsum(expected[chosen]) <= MAX_SAMPLE]
-    return Places(numbers[fitting], side, corner) if len(fitting) else None
+    cells_of_places, first = np.unique(near.indices, return_index=True)
+    place = np.repeat(np.arange(len(order)), near.counts)[first]  # the first place that contains a cell
+    points = np.cumsum(np.bincount(place, expected[cells_of_places], len(order)))
+    places = max(1, int(np.count_nonzero(points <= MAX_SAMPLE)))
+    return Places(numbers[cells_of_places[np.flatnonzero(place < places)]], side, corner)

@@ -201,7 +201,8 @@ def _search(
     for sample, other, sample_offsets in zip(samples, samples[::-1], offsets, strict=True):
         test = find_offsets(sample, sample_offsets, least_error)
         evidence.append(PointTests(test, sample_offsets.signed, find_absence(sample, other.index)))
-    scene = SampledPair(samples, evidence, [each.normals for each in offsets], points or sum(map(len, samples)))
+    normals = [each.normals for each in offsets]
+    scene = SampledPair(samples, evidence, normals, points or sum(map(len, samples)), shows_whole=points is None)
     described = describe(list(connected_parts(samples, evidence)), scene)
     noise, scatter = (max(getattr(each.offsets, name) for each in evidence) for name in ("noise", "scatter"))
     return SampleSearch(samples, described, noise, scatter)
@@ -235,7 +236,7 @@ def _places(
         (reference, candidate, to_candidate, 1.0),
         (candidate, reference, to_reference, -1.0),
     ):
-        step = max(1, len(surface) // MAX_SCREENED)
+        step = -(-len(surface) // MAX_SCREENED)
         points = surface.index.every(step)
         every = np.arange(0, len(surface), step)
         matches = other.index.query(points) if known_matches is None else known_matches.at(every)

@@ -16,6 +16,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.io import read_cloud
 
 CAR, HOUSE = (2.0, 4.5, 1.5), (10.0, 10.0, 6.0)
+PLACES = [(10.0 * i, 10.0 * j) for i in range(-3, 4) for j in range(-3, 4)]
 
 
 def search(reference, candidate):
@@ -190,3 +191,27 @@ def test_places_hold_the_points_of_their_cells():
     points = np.array([[1.2, 1.2, 1.2], [2.1, 0.7, 1.4], [1.6, 1.2, 1.2], [2.1, 1.2, 1.2], [-9, 0, 0]])
     assert places.contains(points).tolist() == [True, True, False, False, False]
     assert places.shifted(np.ones(3)).contains(points - 1).tolist() == [True, True, False, False, False]
+
+
+def test_gaps_of_one_cloud_are_no_changes(few_samples):
+    """Holes around objects, which a small place shows as objects that rise above their surroundings."""
+    rng, trees = np.random.default_rng(5), [box(at, (1.0, 1.0, 3.0), seed=k) for k, at in enumerate(PLACES)]
+    reference = np.concatenate([ground(1), *trees])
+    candidate = np.concatenate([ground(2), *(tree + rng.normal(0, NOISE, tree.shape) for tree in trees)])
+    for at, radius in zip(PLACES, rng.uniform(3.5, 4.5, len(PLACES)), strict=True):
+        candidate = candidate[~disc(candidate, radius, at)]
+    assert not search(reference, candidate).found
+
+
+def test_places_far_apart_are_told_apart():
+    places = details.Places(np.array([[0, 0, 0], [2**31 - 1, 5, 2**22]]), 1.0, np.zeros(3))
+    points = np.array([[0.5, 0.5, 0.5], [1e8, 0, 0], [1e99, 5.5, 2.0**22]])
+    assert places.contains(points).tolist() == [True, False, True]
+
+
+def test_no_place_is_cut_off():
+    """Places that exceed the largest sample are left out as a whole: the others keep their surroundings."""
+    numbers = np.stack(np.meshgrid(np.arange(60), np.arange(60), [0], indexing="ij"), -1).reshape(-1, 3)
+    order = np.flatnonzero((numbers[:, :2] % 10 == 5).all(axis=1))
+    places = details._largest(order, numbers, np.full(len(numbers), details.MAX_SAMPLE / 100), 1.0, np.zeros(3))
+    assert len(places.cells) == 4 * 21  # a place has 21 cells within two and a half

@@ -274,7 +274,7 @@ class TiledIndex(Index):
         """Return the first point inside a region in each occupied cell of an edge length, counted from a corner."""
         self._spreads += 1
         stage, title = f"{self._stage}-spread-{self._spreads}", "spreading points evenly"
-        tasks, key = self._tile_tasks(region, side, corner), f"{self._key}{side}"
+        tasks, key = self._tile_tasks(region, side, corner), f"{self._key}{side}{fingerprint(region)}"
         parts = [picked for _, picked in self._runner.run(stage, spread_tile, tasks, key=key, title=title)]
         rows = np.concatenate([part.rows for part in parts])
         order = np.argsort(rows)
