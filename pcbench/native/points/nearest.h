@@ -197,41 +197,6 @@ inline void nearest(const Tree& tree, const Leaf* queries, size_t leaf_count, co
     }
 }
 
-// The nearest point of one query, and the squared distance of the second nearest.
-class NearestTwo {
-public:
-    NearestTwo(const Tree& tree, const double* query) : tree_(tree), query_(query), box_(box_of_point(query)) {}
-
-    Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, box_); }
-    double bound() const { return second_; }
-    uint32_t last_tie() const { return UINT32_MAX; }
-
-    void leaf(uint32_t id, const Node&, int) {
-        const Leaf& leaf = tree_.leaves[id];
-        const Vector d = squared_length(splat(query_[0]) - load(leaf.x), splat(query_[1]) - load(leaf.y),
-                                        splat(query_[2]) - load(leaf.z));
-        alignas(64) double squared[kLanes];
-        store(squared, d);
-        for (unsigned near = bits(d <= splat(second_)); near; near &= near - 1) {
-            const int i = __builtin_ctz(near);
-            const bool is_first = is_before(squared[i], leaf.row[i], best_, row_);
-            const double loser = is_first ? best_ : squared[i];
-            second_ = loser < second_ ? loser : second_;
-            if (is_first) best_ = squared[i], row_ = leaf.row[i];
-        }
-    }
-
-    double squared() const { return best_; }
-    double second_squared() const { return second_; }
-    int64_t row() const { return static_cast<int64_t>(row_); }
-
-private:
-    const Tree& tree_;
-    const double* query_;
-    const Box box_;
-    double best_ = kUnbounded, second_ = kUnbounded, row_ = kNoRow;
-};
-
 // Nearest points of queries that have moved, see Track. A query is searched again only if its match may have changed.
 inline void follow(const Tree& tree, const Leaf* queries, size_t leaf_count, const Track& track, double* distances,
                    Interrupt& interrupt) {
@@ -254,11 +219,13 @@ inline void follow(const Tree& tree, const Leaf* queries, size_t leaf_count, con
                     continue;
                 }
             }
-            NearestTwo search(tree, query);
+            double squared[2] = {kUnbounded, kUnbounded};  // the second one stays if there is one point
+            int64_t nearest_rows[2];
+            NearestK search(tree, query, 2, squared, nearest_rows);
             traverse(tree, search);
-            distances[row] = std::sqrt(search.squared());
-            track.indices[row] = search.row();
-            track.clearances[row] = std::sqrt(search.second_squared());
+            distances[row] = std::sqrt(squared[0]);
+            track.indices[row] = nearest_rows[0];
+            track.clearances[row] = std::sqrt(squared[1]);
             for (int a = 0; a < 3; ++a) place[a] = query[a];
         }
     }
