@@ -54,6 +54,7 @@ _QUIET_LOAD, _QUIET_WAIT_S, _QUIET_POLL_S = 0.7, 120.0, 3.0  # busy cores at whi
 _MISSING = re.compile(r"missing: .*|.* is not measured.*")  # as the benchmarks say it
 _running: set[int] = set()  # processes of the commands that run now
 _SOURCES = {".h", ".cpp", ".cu"}
+_SITE = "site-packages"  # folder of compiled modules
 _RECORD_IMPORTS = """
 import atexit, os, sys
 
@@ -143,8 +144,10 @@ def code_files(root: Path, modules: Iterable[str]) -> list[str]:
     for name in map(Path, modules):
         if name.suffix == ".py":
             files.add(name)
-        elif (at := next((k for k, part in enumerate(name.parts) if part in CODE), None)) is not None:
-            folder = root.joinpath(*name.parts[at:-1])
+            continue
+        installed = name.parts[name.parts.index(_SITE) + 1 :] if _SITE in name.parts else name.parts[len(root.parts) :]
+        if installed and installed[0] in CODE:
+            folder = root.joinpath(*installed[:-1])
             files.update(path for path in folder.rglob("*") if path.suffix in _SOURCES)
             files.update(folder.parent.glob("*.h"))
             files.update((root / "pcbench/native/common").iterdir())
