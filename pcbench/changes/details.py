@@ -7,7 +7,7 @@ a finer sample. A place is only a suspicion: the search decides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,13 @@ class Places:
         cells: (C, 3) numbers of the cells along each axis.
         side: edge length of a cell.
         corner: (3,) lowest corner of the cell (0, 0, 0).
+        left_out: number of further suspicious cells, which exceed the sample.
     """
 
     cells: IntArray
     side: float
     corner: FloatArray
+    left_out: int = 0
 
     @property
     def text(self) -> str:
@@ -57,7 +59,7 @@ class Places:
 
     def shifted(self, origin: FloatArray) -> Places:
         """Return the same cells in coordinates from which `origin` (3,) has been subtracted."""
-        return Places(self.cells, self.side, self.corner - origin)
+        return replace(self, corner=self.corner - origin)
 
     def contains(self, points: FloatArray) -> NDArray[np.bool_]:
         """Return the mask (N,) of the points (N, 3) inside."""
@@ -173,12 +175,12 @@ def _largest(
         side: edge length of a cell.
         corner: (3,) corner of the cells.
     """
-    order = order[:_MAX_PLACES]
     if not len(order):
         return None
-    near = Index(numbers.astype(np.float64)).query_radius(numbers[order].astype(np.float64), _RING + 0.5)
+    first_places = order[:_MAX_PLACES]
+    near = Index(numbers.astype(np.float64)).query_radius(numbers[first_places].astype(np.float64), _RING + 0.5)
     cells_of_places, first = np.unique(near.indices, return_index=True)
-    place = np.repeat(np.arange(len(order)), near.counts)[first]  # the first place that contains a cell
-    points = np.cumsum(np.bincount(place, expected[cells_of_places], len(order)))
-    places = max(1, int(np.count_nonzero(points <= MAX_SAMPLE)))
-    return Places(numbers[cells_of_places[np.flatnonzero(place < places)]], side, corner)
+    place = np.repeat(np.arange(len(first_places)), near.counts)[first]  # the first place that contains a cell
+    points = np.cumsum(np.bincount(place, expected[cells_of_places], len(first_places)))
+    chosen = cells_of_places[np.flatnonzero(place < max(1, int(np.count_nonzero(points <= MAX_SAMPLE))))]
+    return Places(numbers[chosen], side, corner, int(np.count_nonzero(~np.isin(order, chosen))))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
 STABLE, UNMATCHED = -1, -2
@@ -80,11 +81,21 @@ class Changes:
         found: changes, the most important one first: by area times mean distance.
         of_reference: (N,) number of the change of each reference point, its place in `found`, or `STABLE`, `UNMATCHED`.
         of_candidate: (M,) the same for each point of the candidate.
+        left_out: number of small places that look changed and were not searched, because there are too many.
     """
 
     found: tuple[Change, ...]
     of_reference: NDArray[np.int32]
     of_candidate: NDArray[np.int32]
+    left_out: int = 0
+
+    @property
+    def warnings(self) -> tuple[Notice, ...]:
+        """A warning if places were not searched."""
+        if not self.left_out:
+            return ()
+        text = f"{self.left_out:,} more small places look changed and were not searched: compare parts of the scene"
+        return (Notice("unsearched-places", f"{text} (pcbench crop) to search them"),)
 
     @property
     def share(self) -> float:

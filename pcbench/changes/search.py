@@ -50,6 +50,7 @@ class SampledChanges:
             clouds.
         noise: standard deviation of the noise of a sampled point.
         large: the same without changes that only a search of suspicious places shows; None if there are none.
+        left_out: number of further suspicious places, which were not searched.
     """
 
     found: tuple[Change, ...]
@@ -58,6 +59,7 @@ class SampledChanges:
     share: float
     noise: float = 0.0
     large: SampledChanges | None = None
+    left_out: int = 0
 
     @classmethod
     def none(cls) -> SampledChanges:
@@ -71,7 +73,7 @@ class SampledChanges:
 
     def of_clouds(self, reference: FloatArray, candidate: FloatArray) -> Changes:
         """Return the changes with the labels of all points (N, 3) and (M, 3) of both clouds."""
-        return Changes(self.found, self.of_points(0, reference), self.of_points(1, candidate))
+        return Changes(self.found, self.of_points(0, reference), self.of_points(1, candidate), self.left_out)
 
     def of_points(self, which: int, points: FloatArray) -> NDArray[np.int32]:
         """Return the labels (N,) of points (N, 3) of a cloud: those of the nearest sampled points."""
@@ -147,7 +149,7 @@ def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints 
     large = _sampled_changes(whole)
     if details is None or places is None or not details.changes:
         return large
-    return replace(_sampled_changes(whole, details, places), large=large)
+    return replace(_sampled_changes(whole, details, places), large=large, left_out=places.left_out)
 
 
 def _sampled_changes(

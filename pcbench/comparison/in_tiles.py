@@ -350,7 +350,7 @@ class PairInTiles:
     def changes(self) -> Changes:
         """Changes between the complete clouds, in the reference's coordinates."""
         sampled = self.separated_changes.sampled
-        return Changes(sampled.found, *sampled.labels).shifted(self.prepared.origin)
+        return Changes(sampled.found, *sampled.labels, sampled.left_out).shifted(self.prepared.origin)
 
     @cached_property
     def pair(self) -> TiledPair:

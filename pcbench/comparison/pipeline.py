@@ -216,6 +216,7 @@ def _compare_one(
             *pair.sampling_notices,
             *crs_warnings(reference.crs, pair.crs),
             *measurement.warnings,
+            *changes.warnings,
             *pair.warnings(deviation),
             *own.warnings,
         ),

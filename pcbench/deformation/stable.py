@@ -33,7 +33,9 @@ class SeparatedChanges:
 
     def of_points(self, reference: FloatArray, candidate: FloatArray) -> Changes:
         """Return the changes with the labels of all points (N, 3) and (M, 3) of both clouds."""
-        return Changes(self.sampled.found, self.sampled.of_points(0, reference), self.of_candidate(candidate))
+        sampled = self.sampled
+        labels = sampled.of_points(0, reference), self.of_candidate(candidate)
+        return Changes(sampled.found, *labels, sampled.left_out)
 
 
 def separate_changes(reference: Side, candidate: Side, closest: ClosestPoints | None = None) -> SeparatedChanges:

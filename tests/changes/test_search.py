@@ -5,6 +5,7 @@ import pytest
 from changed_scenes import NOISE, SIZE, box, disc, ground
 from data_folder import data_folder
 from scipy.spatial import ConvexHull
+from wording import check_text
 
 from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, details, find_changes, samples
 from pcbench.changes.description import convex_outline
@@ -170,6 +171,15 @@ def test_a_small_object_in_a_large_scene_is_a_change(few_samples):
     labelled = candidate[found.of_candidate == 0]
     assert len(labelled) > 50
     assert (np.abs(labelled[:, :2] - [10, 5]) < 4).all()
+    assert not found.warnings
+
+
+def test_places_that_were_not_searched_are_named(few_samples):
+    cars = [box(at, CAR, seed=k) for k, at in enumerate(PLACES)]
+    found = search(ground(1), np.concatenate([ground(2), *cars]))
+    assert 0 < len(found.found) < len(PLACES)
+    assert found.left_out > 10
+    check_text(found.warnings[0].text)
 
 
 def test_no_small_place_of_an_unchanged_scene_changed(few_samples):
@@ -215,3 +225,4 @@ def test_no_place_is_cut_off():
     order = np.flatnonzero((numbers[:, :2] % 10 == 5).all(axis=1))
     places = details._largest(order, numbers, np.full(len(numbers), details.MAX_SAMPLE / 100), 1.0, np.zeros(3))
     assert len(places.cells) == 4 * 21  # a place has 21 cells within two and a half
+    assert places.left_out == 32
