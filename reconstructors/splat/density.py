@@ -189,7 +189,7 @@ class Classic(Density[Densifiable]):
 
 @dataclass(frozen=True)
 class NumberGrowth:
-    """NumberGrowth to a number of Gaussians, at equal intervals and by equal factors.
+    """Growth to a number of Gaussians, at equal intervals and by equal factors.
 
     In each round, those with the largest mean screen gradients are halved, as many as are needed; a round at most
     doubles the number. Transparent ones are pruned before. It has no state besides the number of Gaussians.

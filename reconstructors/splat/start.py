@@ -15,7 +15,7 @@ from reconstructors.splat.model import LocalFrame
 
 _MIN_VIEWS = 3  # cameras that see a point
 _NEAREST, _FARTHEST = 0.1, 1.5  # depths of the points in a camera, in units of the cameras' spread
-_BATCH = 20_000  # points that are kept_count at once
+_BATCH = 20_000  # points that are drawn at once
 _MIN_SHARE = 1e-3  # of these, which at least three cameras must see
 
 
