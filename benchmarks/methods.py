@@ -1,9 +1,10 @@
 """Accuracy of all reconstructors by CPU time: python benchmarks/methods.py --chart docs/gallery
 
 Each reconstructor runs with several budgets on synthetic cities whose surfaces are known exactly, with the true cameras
-and one thread. CPU seconds are those of the whole run, from photographs to cloud, so those of `splat` include its
-initial `mvs`. F-score at two pixel footprints over the part of the surface that at least three cameras see; accuracy is
-the mean distance from the cloud to the surface. Prints a table; `--chart` draws means over the cities.
+and one thread; COLMAP's sparse points and OpenCV's semi-global matching of pairs (methods_peers.py) run beside them.
+CPU seconds are those of the whole run, from photographs to cloud, so those of `splat` include its initial `mvs`.
+F-score at two pixel footprints over the part of the surface that at least three cameras see; accuracy is the mean
+distance from the cloud to the surface. Prints a table; `--chart` draws means over the cities.
 """
 
 import argparse
@@ -21,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from splat_cities import EXTENT, City, city, score_cloud
 
-from pcbench.plugins.run import ReconstructionJob, run
+from pcbench.plugins.run import ReconstructionJob, Run, run
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -30,7 +31,7 @@ CITIES = ("circles, seed 11", "oblique, half texture", "grid, hard")
 
 
 class Budget(NamedTuple):
-    """A reconstructor with settings, and the scale of its images."""
+    """A reconstructor, ours or a peer, with settings, and the scale of its images."""
 
     method: str
     label: str
@@ -46,15 +47,23 @@ BUDGETS = (
     Budget("mvs", "default", {}),
     Budget("splat", "10,000, 100 steps", _FIXED | {"steps": "100"}),
     Budget("splat", "10,000, 300 steps", _FIXED | {"steps": "300"}),
+    Budget("splat", "default", {}),
     Budget("field", "64 voxels, 200 steps", {"resolution": "64", "steps": "200"}),
     Budget("field", "128 voxels, 300 steps", {"resolution": "128", "steps": "300"}),
     Budget("field", "128 voxels, 700 steps", {"resolution": "128", "steps": "700"}),
+    Budget("field", "default", {}),
+    Budget("COLMAP", "sparse, default", {}),
+    Budget("OpenCV", "SGBM of pairs", {}),
 )
+_PEERS_FILE = Path(__file__).with_name("methods_peers.py")
+PEERS = {"COLMAP": f"{_PEERS_FILE}:Colmap", "OpenCV": f"{_PEERS_FILE}:OpenCvPairs"}
 LINE_STYLES = {
     "sfm": ("#0072b2", "o"),
     "mvs": ("#009e73", "s"),
     "splat": ("#cc79a7", "D"),
     "field": ("#e69f00", "v"),
+    "COLMAP": ("#56b4e9", "P"),
+    "OpenCV": ("#555555", "X"),
 }
 
 
@@ -69,11 +78,19 @@ class Measured(NamedTuple):
     fscore: float
 
 
+def reconstruct(budget: Budget, folder: Path, workspace: Path) -> Run:
+    """Run a reconstructor with the scene's cameras."""
+    if budget.method in PEERS:
+        job = ReconstructionJob(PEERS[budget.method], folder, budget.settings, image_scale=budget.image_scale)
+    else:
+        settings = {"poses": "given"} | budget.settings
+        job = ReconstructionJob(budget.method, folder, settings, image_scale=budget.image_scale)
+    return run(job, workspace)
+
+
 def measure(scored_city: City, folder: Path, budget: Budget, workspace: Path) -> Measured:
     """Run a reconstructor in a new workspace and compare its cloud with the true surface."""
-    settings = {"poses": "given"} | budget.settings
-    job = ReconstructionJob(budget.method, folder, settings, image_scale=budget.image_scale)
-    outcome = run(job, workspace)
+    outcome = reconstruct(budget, folder, workspace)
     score = score_cloud(scored_city.truth, outcome.require_reconstruction().cloud.points)
     memory = (outcome.peak_rss_bytes or 0) / 2**20
     return Measured(outcome.cpu_s, memory, score.points, score.accuracy, score.seen, score.fscore_seen)

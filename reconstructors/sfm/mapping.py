@@ -109,7 +109,7 @@ def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Pat
     import pycolmap
 
     def make(folder: Path) -> None:
-        model = _posed_model(verified / DATABASE, scene)
+        model = posed_model(verified / DATABASE, scene)
         (folder / "0").mkdir()
         pycolmap.triangulate_points(
             model,
@@ -165,7 +165,7 @@ def _global_options(refine: Refine, seed: int) -> Any:
     return options
 
 
-def _posed_model(database_file: Path, scene: Scene) -> Any:
+def posed_model(database_file: Path, scene: Scene) -> Any:
     """Return a model of the database's images with the scene's cameras and no points."""
     import pycolmap
 

@@ -72,18 +72,18 @@ from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
 from reconstructors.sfm import mapping
 from reconstructors.sfm.sfm import ColmapSfm
-posed_model = mapping._posed_model
+posed_model = mapping.posed_model
 def posed_model_with_limit(*arguments):  # sets the limit from here on; it is larger than a database at opening
     model = posed_model(*arguments)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
     return model
 scene, work = read_scene({str(photographs)!r}), Path({str(tmp_path)!r})
-mapping._posed_model = posed_model_with_limit
+mapping.posed_model = posed_model_with_limit
 try:
     ColmapSfm(upsample=False, features=1000).reconstruct(scene, work)
 except ReconstructionError:
     print("refused", (work / "triangulation/stage.json").exists())
-mapping._posed_model = posed_model
+mapping.posed_model = posed_model
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 ColmapSfm(upsample=False, features=1000).reconstruct(scene, work)
 """
