@@ -103,7 +103,10 @@ class Intrinsics:
             return np.column_stack([target, np.ones(len(target))])
         xy = _remove_fisheye(target, self.distortion) if self.fisheye else _remove_brown(target, self.distortion)
         if xy is None:
-            raise InputError(f"the distortion {self.distortion} folds the image over: some pixels have no ray")
+            raise InputError(
+                f"the distortion {self.distortion} folds the image over: some pixels have no ray; undistort the"
+                " photographs first"
+            )
         return np.column_stack([xy, np.ones(len(target))])
 
     def distort(self, xy: FloatArray) -> FloatArray:

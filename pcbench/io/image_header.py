@@ -104,27 +104,28 @@ def _png(file: BinaryIO) -> ImageHeader:
         raise InputError("expected a PNG header, got a truncated file: copy the image again")
     width, height = struct.unpack(">II", chunk[8:])
     depth, kind = file.read(2).ljust(2, b"\0")  # bit depth and colour type
-    has_transparent_color, orientation = _png_chunks(file)
+    has_transparent_color, gps, orientation = _png_chunks(file)
     # Pillow does not apply transparent colours of 16 bits.
     has_alpha = kind in _PNG_ALPHA_TYPES or (depth <= 8 and has_transparent_color)
-    return ImageHeader(width, height, None, has_alpha, orientation)
+    return ImageHeader(width, height, gps, has_alpha, orientation)
 
 
-def _png_chunks(file: BinaryIO) -> tuple[bool, int]:
-    """Return whether a chunk before the pixels of a PNG makes colours transparent, and the EXIF orientation.
+def _png_chunks(file: BinaryIO) -> tuple[bool, Gps | None, int]:
+    """Return whether a chunk of a PNG makes colours transparent, and the position and orientation of its EXIF block.
 
-    The file is within its header.
+    Only chunks before the pixels are read. The file is within its header.
     """
-    has_transparent_color, orientation = False, 1
+    has_transparent_color, gps, orientation = False, None, 1
     file.seek(7, SEEK_CUR)  # the rest of the header and its checksum
     while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IDAT":
         length, end = int.from_bytes(chunk[:4], "big"), file.tell() + int.from_bytes(chunk[:4], "big") + 4
         if chunk[4:] == b"tRNS":
             has_transparent_color = True
         elif chunk[4:] == b"eXIf":
-            orientation = orientation_from_exif(file.read(min(length, _MAX_EXIF_BYTES)))
+            block = file.read(min(length, _MAX_EXIF_BYTES))
+            gps, orientation = gps_from_exif(block), orientation_from_exif(block)
         file.seek(end)
-    return has_transparent_color, orientation
+    return has_transparent_color, gps, orientation
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:

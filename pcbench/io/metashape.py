@@ -24,14 +24,14 @@ from pcbench.regular_files import read_text
 
 _MAX_BYTES, _LOOK_BYTES = 256 << 20, 4096
 _COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-_MAX_APPROXIMATION_PX = 1.0  # error at the worst radius, usually the corner, of a lens with k3 and k4 without them
+_MAX_APPROXIMATION_PX = 1.0  # error at the worst radius, usually the corner, of a lens with k4 without it
 _RADII = 200
 _MIN_GEOCENTRIC_M = 6.2e6  # distance from the centre of the earth; no local system has such coordinates
 _LEAST_SKEW_PX = 1e-6
 
 
 class _Lens(NamedTuple):
-    """Intrinsics of a sensor, and the largest error in pixels of leaving out k3 and k4."""
+    """Intrinsics of a sensor, and the largest error in pixels of leaving out k4."""
 
     intrinsics: Intrinsics
     error_px: float
@@ -114,9 +114,7 @@ def _cameras(chunk: ET.Element, warn: Warn) -> tuple[Camera, ...]:
             with errors_named(f"sensor {sensors[key].get('label', key)!r}"):
                 lenses[key] = _lens(sensors[key])
     if worst := max(lens.error_px for lens in lenses.values()):
-        warn(
-            f"lenses are read without k3 and k4: other coefficients take their place, with errors up to {worst:.2g} px"
-        )
+        warn(f"lenses are read without k4: other coefficients take its place, with errors up to {worst:.2g} px")
     world_from_chunk = _chunk_transform(chunk)
     poses = [(world_from_chunk @ _matrix(element, element.get("label"))) for element in elements]
     centers = np.array([pose[:3, 3] for pose in poses])
@@ -189,8 +187,9 @@ def _numbers(text: str | None) -> FloatArray:
 
 def _lens(sensor: ET.Element) -> _Lens:
     """Return the intrinsics of a sensor from its adjusted calibration, or from the initial one."""
-    if sensor.get("type", "frame") != "frame":
-        raise InputError(f"expected a frame camera, got type {sensor.get('type')!r}: undistort the photos first")
+    kind = sensor.get("type", "frame")
+    if kind not in ("frame", "fisheye"):
+        raise InputError(f"expected a frame or fisheye camera, got type {kind!r}: undistort the photos first")
     calibrations = sensor.findall("calibration")
     calibration = next((c for c in calibrations if c.get("class") == "adjusted"), next(iter(calibrations), None))
     if calibration is None:
@@ -207,18 +206,26 @@ def _lens(sensor: ET.Element) -> _Lens:
         )
     if abs(values["b2"]) > _LEAST_SKEW_PX or values["p3"] or values["p4"]:
         raise InputError("expected a lens without skew (b2), p3 and p4, got some: undistort the photos first")
-    shift = 1 + values["b1"] / values["f"]
+    stretch = 1 + values["b1"] / values["f"]
     center = width / 2 + values["cx"], height / 2 + values["cy"]
-    radial, error = (values["f"], values["k1"], values["k2"]), 0.0
-    if values["k3"] or values["k4"]:
-        corner = float(np.hypot(width / 2 + abs(values["cx"]), height / 2 + abs(values["cy"]))) / values["f"]
-        radial, error = _without_high_orders(values, corner)
-    f, k1, k2 = radial
-    return _Lens(Intrinsics(width, height, f * shift, f, *center, (k1, k2, values["p2"], values["p1"])), error)
+    k1, k2, k3, k4, p1, p2 = (values[name] for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if kind == "fisheye":
+        if p1 or p2:
+            raise InputError("expected a fisheye lens without p1 and p2, got some: undistort the photos first")
+        focal = values["f"] * stretch, values["f"]
+        return _Lens(Intrinsics(width, height, *focal, *center, (k1, k2, k3, k4), fisheye=True), 0.0)
+    f, error = values["f"], 0.0
+    if k4:
+        corner = float(np.hypot(width / 2 + abs(values["cx"]), height / 2 + abs(values["cy"]))) / f
+        (f, k1, k2, k3), error = _without_k4(values, corner)
+    distortion = (k1, k2, p2, p1, k3, 0.0, 0.0, 0.0) if k3 else (k1, k2, p2, p1)
+    intrinsics = Intrinsics(width, height, f * stretch, f, *center, distortion)
+    intrinsics.directions(np.array([[0.0, 0.0], [width, 0], [0, height], [width, height]]))  # is it folded?
+    return _Lens(intrinsics, error)
 
 
-def _without_high_orders(values: Mapping[str, float], corner: float) -> tuple[tuple[float, float, float], float]:
-    """Return f, k1 and k2 that are nearest to a lens with k3 and k4 up to its corner, and the largest error in pixels.
+def _without_k4(values: Mapping[str, float], corner: float) -> tuple[tuple[float, float, float, float], float]:
+    """Return f, k1, k2 and k3 that are nearest to a lens with k4 up to its corner, and the largest error in pixels.
 
     Args:
         values: the coefficients.
@@ -236,13 +243,13 @@ def _without_high_orders(values: Mapping[str, float], corner: float) -> tuple[tu
             "expected a lens that maps rays to the whole image, got one that folds it: undistort the photos"
         )
     radii, mapped = radii[: reached[0] + 1], mapped[: reached[0] + 1]
-    powers = np.stack([radii, radii**3, radii**5], axis=1)
+    powers = np.stack([radii, radii**3, radii**5, radii**7], axis=1)
     solution = np.linalg.lstsq(powers, mapped, rcond=None)[0]
     error = values["f"] * float(np.abs(powers @ solution - mapped).max())
     if not error <= _MAX_APPROXIMATION_PX or solution[0] <= 0:
         raise InputError(
-            f"expected a lens that k1 and k2 describe within {_MAX_APPROXIMATION_PX} px, got k3 and k4 that need"
+            f"expected a lens that k1, k2 and k3 describe within {_MAX_APPROXIMATION_PX} px, got a k4 that needs"
             f" {error:.2g} px: undistort the photos first"
         )
-    scale, k1, k2 = (float(number) for number in solution)
-    return (values["f"] * scale, k1 / scale, k2 / scale), error
+    scale, k1, k2, k3 = (float(number) for number in solution)
+    return (values["f"] * scale, k1 / scale, k2 / scale, k3 / scale), error

@@ -145,18 +145,43 @@ def test_geodetic_positions(gps):
     ) == pytest.approx(0, abs=1e-12)
 
 
-def test_lenses_with_k3_and_k4(tmp_path):
+def test_a_lens_with_k3_is_exact(tmp_path):
+    lens = {"k1": -0.06, "k2": 0.05, "p1": 1e-4, "p2": -2e-4, "k3": -0.02}
+    camera = orbit(NAMES, Intrinsics(4000, 3000, 3000, 3000, 2010, 1495))[:1]
+    (read_camera,), notes = read(tmp_path, metashape_files.export(camera, lens=lens))
+    xy = np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2))
+    x, y = xy.T
+    r2 = x * x + y * y
+    radial = 1 + lens["k1"] * r2 + lens["k2"] * r2**2 + lens["k3"] * r2**3
+    p1, p2 = lens["p1"], lens["p2"]  # Metashape manual, appendix C
+    distorted = np.stack(
+        [x * radial + p1 * (r2 + 2 * x * x) + 2 * p2 * x * y, y * radial + p2 * (r2 + 2 * y * y) + 2 * p1 * x * y], 1
+    )
+    np.testing.assert_allclose(read_camera.intrinsics.distort(xy), 3000 * distorted + [2010, 1495], atol=1e-9)
+    assert not notes
+
+
+def test_a_fisheye_lens(tmp_path):
+    lens = {"k1": -0.01, "k2": 0.002, "k3": -1e-4, "k4": 1e-5}
+    camera = orbit(NAMES, Intrinsics(1500, 1500, 900, 900, 750, 750))[:1]
+    (read_camera,), _ = read(tmp_path, metashape_files.export(camera, lens=lens, sensor_type="fisheye"))
+    angle = np.radians(70.0)
+    radius = angle * (1 + sum(lens[f"k{n}"] * angle ** (2 * n) for n in (1, 2, 3, 4)))
+    pixel = read_camera.intrinsics.distort(np.array([[np.tan(angle), 0.0]]))
+    np.testing.assert_allclose(pixel, [[750 + 900 * radius, 750]], atol=1e-9)
+
+
+def test_lenses_with_k4(tmp_path):
     """Rays through the image differ by the stated error at most."""
-    lens = {"f": 3000.0, "cx": 10.0, "cy": -5.0, "b1": 0.0, "k1": -0.06, "k2": 0.05, "k3": -0.02, "k4": 0.002}
+    lens = {"f": 3000.0, "cx": 10.0, "cy": -5.0, "b1": 0.0, "k1": -0.06, "k2": 0.05, "k3": -0.02, "k4": 0.06}
     camera = orbit(NAMES, Intrinsics(4000, 3000, 3000, 3000, 2010, 1495))[:1]
     (read_camera,), notes = read(tmp_path, metashape_files.export(camera, lens=lens))
     k = read_camera.intrinsics
-    radii = np.linspace(0, 0.85, 100)  # up to the corner
+    radii = np.linspace(0, 0.84, 100)  # up to the corner
     expected = lens["f"] * radii * (1 + sum(lens[f"k{n}"] * radii ** (2 * n) for n in (1, 2, 3, 4)))
-    r2 = radii**2
-    ours = k.fx * radii * (1 + k.distortion[0] * r2 + k.distortion[1] * r2 * r2)
+    ours = k.distort(np.column_stack([radii, np.zeros(100)]))[:, 0] - k.cx
     stated = float(notes[0].rpartition("up to ")[2].removesuffix(" px"))
-    assert np.abs(ours - expected).max() <= 1.05 * stated < 1  # two digits are stated
+    assert 0.01 < np.abs(ours - expected).max() <= 1.05 * stated < 1  # two digits are stated
     check_text("\n".join(notes))
 
 
@@ -171,11 +196,13 @@ WRONG_XML = {
     "no sensor": TEXT.replace('sensor id="0"', 'sensor id="7"'),
     "no calibration": TEXT.replace("calibration", "other"),
     "no resolution": TEXT.replace("resolution", "other"),
-    "fisheye": metashape_files.export(orbit(NAMES), sensor_type="fisheye"),
+    "spherical": metashape_files.export(orbit(NAMES), sensor_type="spherical"),
+    "fisheye": metashape_files.export(orbit(NAMES), lens={"p1": 0.1}, sensor_type="fisheye"),
     "skew": metashape_files.export(orbit(NAMES), lens={"b2": 1.0}),
     "p3": metashape_files.export(orbit(NAMES), lens={"p3": 0.1}),
-    "strong k3": metashape_files.export(orbit(NAMES, Intrinsics(4000, 3000, 1500, 1500, 2000, 1500)), lens={"k3": 0.5}),
+    "strong k4": metashape_files.export(orbit(NAMES, Intrinsics(4000, 3000, 1500, 1500, 2000, 1500)), lens={"k4": 0.5}),
     "folded": metashape_files.export(orbit(NAMES), lens={"k3": -50.0}),
+    "folded by k4": metashape_files.export(orbit(NAMES), lens={"k4": -50.0}),
     "no focal length": metashape_files.export(orbit(NAMES), lens={"f": 0.0}),
     "NaN": metashape_files.export(orbit(NAMES), lens={"k1": float("nan")}),
     "words": TEXT.replace("<k1>", "<k1>a"),

@@ -161,12 +161,13 @@ def test_image_headers(tmp_path):
     exif = Image.Exif()
     exif[0x8825] = {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\x01", 6: 12.5}
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.jpg", exif=exif)
+    Image.new("RGB", (5, 4)).save(tmp_path / "gps.png", exif=exif)
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.webp", exif=exif)
     Image.new("RGB", (5, 4)).save(tmp_path / "gps.tif", exif=exif.tobytes())
     with no_pixel_limit():
         Image.new("1", (20_000, 20_000)).save(tmp_path / "large.tif", compression="group4")
     assert read_image_header(tmp_path / "large.tif")[:2] == (20_000, 20_000)  # more than Pillow opens by default
-    for name in ("gps.jpg", "gps.webp", "gps.tif"):
+    for name in ("gps.jpg", "gps.png", "gps.webp", "gps.tif"):
         assert read_image_header(tmp_path / name).gps == pytest.approx((-33.51, 151.0, -12.5))
     data = (tmp_path / "a.jpg").read_bytes()
     for length in range(1, 200, 7):  # truncation never hangs and is reported
