@@ -17,16 +17,24 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # An editable install does not rebuild C++ automatically, so the stamps depend on the native sources.
-$(VENV)/.demo: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot,sfm,mvs,splat,field]'
+$(VENV)/.plot: $(BIN)/python $(NATIVE)
+	$(PIP) --editable '.[plot]'
+	@touch $@
+
+# What reconstructors need; pcbench itself stays as it is installed.
+$(VENV)/.demo: $(VENV)/.plot
+	$(PIP) 'pcbench[sfm,mvs,splat,field]'
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)
 	$(PIP) --editable '.[all,dev]'
-	@touch $@ $(VENV)/.demo
+	@touch $(VENV)/.plot $(VENV)/.demo $@
 
-demo: $(VENV)/.demo
-	$(BIN)/pcbench demo --out demo
+# The first answer comes while the large packages of the reconstructors are installed.
+demo: $(VENV)/.plot
+	@$(MAKE) --no-print-directory $(VENV)/.demo & \
+	$(BIN)/pcbench demo --out demo --no-bench; answer=$$?; \
+	wait $$! && test $$answer -eq 0 && $(BIN)/pcbench demo --out demo --no-clouds
 
 # Workers and child processes read compiled modules; otherwise each would compile pcbench and rewrite all asserts again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -53,8 +53,9 @@ if TYPE_CHECKING:
 @seed_option("Random seed of the cities and their noise.")
 @no_figures_option()
 @option("--no-bench", is_flag=True, help="Do not run the reconstructors.")
+@option("--no-clouds", is_flag=True, help="Run only the reconstructors.")
 @quiet_option
-def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, quiet: bool) -> None:
+def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, no_clouds: bool, quiet: bool) -> None:
     """Compare clouds of a synthetic city, then compare reconstructors on another.
 
     The first city has a dense reference, and a sparse and a densified candidate with noise, outliers and a rigid
@@ -62,21 +63,32 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     SfM and dense MVS at two image scales each, and by Gaussian splatting, as centres and as surface (extras plot, sfm,
     mvs, splat).
     """
+    from pcbench.scenes.synthetic.files import claim_demo_folder
+    from pcbench.scratch import lock_output
+
+    if no_bench and no_clouds:
+        raise click.UsageError("--no-bench and --no-clouds leave nothing to do: omit one of them")
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    click.get_current_context().with_resource(lock_output(out))
+    claim_demo_folder(out)
+    if not no_clouds:
+        _demo_clouds(out, points, seed, figures=not no_figures, quiet=quiet)
+    if not no_bench:
+        _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
+
+
+def _demo_clouds(out: Path, points: int, seed: int, *, figures: bool, quiet: bool) -> None:
     from pcbench.comparison.request import Request
     from pcbench.measure.settings import Settings
     from pcbench.scenes.synthetic import demo as make_demo
-    from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
-    from pcbench.scratch import lock_output
+    from pcbench.scenes.synthetic.files import write_demo
 
-    check_demo_folder(out)
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    click.get_current_context().with_resource(lock_output(out))
     with steps(quiet) as step:
         step("building the city")
         scene = make_demo(points, seed)
         files = write_demo(out, scene)
     request = Request.of(files.reference, files.candidates, Settings(seed=seed))
-    comparison = compare_and_print(request, out / "report", None, figures=not no_figures, quiet=quiet)
+    comparison = compare_and_print(request, out / "report", None, figures=figures, quiet=quiet)
     if not quiet:
         for candidate in comparison.candidates:
             error = scene.registration_error(candidate.name, candidate.registration.T_reference_candidate)
@@ -85,8 +97,6 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
             click.echo(f"truth: the pose of {candidate.name} is right to {1000 * error:.1f} mm RMS{note}")
         clouds = " ".join(map(str, (files.reference, *files.candidates.values())))
         click.echo(f"repeat with: pcbench compare {clouds} --out REPORT")
-    if not no_bench:
-        _demo_bench(out, seed, figures=not no_figures, quiet=quiet)
 
 
 def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:

@@ -26,3 +26,10 @@ def test_the_demo_writes_into_no_folder_of_others(tmp_path, run):
     check_text(err)
     assert user_file.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [tmp_path / "clouds"]
+
+
+def test_a_demo_of_nothing_is_refused(tmp_path, run):
+    code, _, err = run("demo", "--no-bench", "--no-clouds", "--out", tmp_path / "demo")
+    assert code == 2
+    check_text(err)
+    assert not (tmp_path / "demo").exists()

@@ -115,14 +115,15 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         write_cloud(folder / "truth" / "cloud.ply", cloud)
 
 
-def check_demo_folder(out: Path) -> None:
-    """Check that `write_demo` may write to a folder, before a demo is computed.
+def claim_demo_folder(out: Path) -> None:
+    """Create the folder of a demo, and mark it as one, before the demo is computed.
 
     Args:
-        out: folder of the demo.
+        out: folder of the demo; that of an earlier demo may be used again.
 
     Raises:
         InputError: it is a file, or a folder with other contents than an earlier demo.
+        OSError: it cannot be created.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for the demo, got a file")
@@ -130,23 +131,22 @@ def check_demo_folder(out: Path) -> None:
         raise InputError(
             f"{out}: expected an empty folder or a demo, got a folder with other files; choose another one"
         )
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _DEMO_MARKER).touch()
 
 
 def write_demo(out: Path, demo: Demo) -> DemoFiles:
     """Write the clouds of a demo into `out`/clouds and replace those of an earlier demo.
 
     Args:
-        out: folder of the demo.
+        out: folder of the demo, see `claim_demo_folder`.
         demo: clouds.
 
     Raises:
-        InputError: the folder is not a demo's.
         OSError: a file cannot be written.
     """
-    check_demo_folder(out)
     folder = out / "clouds"
-    folder.mkdir(parents=True, exist_ok=True)
-    (out / _DEMO_MARKER).touch()
+    folder.mkdir(exist_ok=True)
     files = DemoFiles(folder / "reference.ply", {name: folder / f"{name}.ply" for name in demo.candidates})
     write_cloud(files.reference, demo.reference)
     for name, path in files.candidates.items():
