@@ -159,7 +159,7 @@ def test_each_command_has_its_cost_and_all_fit_into_an_afternoon(docs):
     assert len({docs[1]._record(ROOT, command) for command in commands}) == len(commands)
     assert not [command for command in commands if re.search(r"\b[A-Z]{3,}\b", command)]  # a folder of one person
     seconds = tomllib.loads((ROOT / docs[1].COMMANDS).read_text())  # runs beside other work take longer
-    assert sum(seconds["timings"].values()) + sum(seconds["scores"].values()) / 2 < 2.5 * 3600
+    assert sum(seconds["timings"].values()) + sum(seconds["scores"].values()) / 2 < 3 * 3600
 
 
 def test_tables_of_the_pages_are_those_of_their_runs(docs):
