@@ -17,7 +17,6 @@ _ANSWER = re.compile(r'(<div class="language-(?:console|text) highlight">.*?<cod
 _COLUMNS = re.compile(r"\S {2,}\S|^ {8,}\S")
 _WIDTH = 132  # columns at which commands wrap the sentences of the pages
 _INDENTED_WIDTH = 116  # the same for sentences that continue below with two spaces
-_WIDEST_ROW = 180  # longer lines are lists of names with their explanations, which wrap
 _PICTURE = re.compile(r'<img\b[^>]*?\bsrc="([^"]+)"[^>]*>')
 _REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what explains a term comes before its names
 
@@ -64,11 +63,12 @@ def _wrapping(lines: list[str]) -> list[str]:
     sentence = ""  # the last line as text, if a sentence may continue below it
     for line in lines:
         text = _text(line)
-        if _COLUMNS.search(text) and len(text) <= _WIDEST_ROW:
+        gaps = len(_COLUMNS.findall(text))
+        if gaps > 1 or (gaps and len(text) <= _WIDTH):  # a longer line with one gap is a name with its explanation
             found.append(f'<span class="row">{line}</span>')
             sentence = ""
         elif sentence and _continues(sentence, text):
-            found[-1] += " " + re.sub(r"(^|>) +", r"\1", line, count=1)
+            found[-1] += ("" if sentence.endswith("-") else " ") + re.sub(r"(^|>) +", r"\1", line, count=1)
             sentence = text
         else:
             found.append(line)
