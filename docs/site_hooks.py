@@ -1,4 +1,5 @@
-"""Hooks of mkdocs: included files, the age of tables, printed answers that wrap, and what the search puts first."""
+"""Hooks of mkdocs: included files, the age of tables, printed answers that wrap, links of pictures, and what the search
+puts first."""
 
 import re
 import sys
@@ -13,7 +14,10 @@ from written_tables import TABLE, read_run
 _ROOT = Path(__file__).resolve().parent.parent
 _INCLUDE = re.compile(r"^--8<-- \"(?P<file>[^\"]+)\"$", re.MULTILINE)
 _ANSWER = re.compile(r'(<div class="language-(?:console|text) highlight">.*?<code>)(.*?)(</code>)', re.DOTALL)
-_COLUMNS = re.compile(r"\S {2,}\S")
+_COLUMNS = re.compile(r"\S {2,}\S|^ {8,}\S")
+_WIDTH = 132  # columns at which commands wrap the sentences of the pages
+_INDENTED_WIDTH = 116  # the same for sentences that continue below with two spaces
+_PICTURE = re.compile(r'<img\b[^>]*?\bsrc="([^"]+)"[^>]*>')
 _REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what explains a term comes before its names
 
 
@@ -29,8 +33,12 @@ def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
 
 
 def on_page_content(html: str, **kwargs: Any) -> str:
-    """Mark the rows of printed tables in console blocks, which style.css keeps on one line; sentences wrap."""
-    return _ANSWER.sub(lambda block: block[1] + "\n".join(map(_marked, block[2].split("\n"))) + block[3], html)
+    """Let sentences of console blocks wrap anywhere, keep rows on one line, and link pictures to their files.
+
+    style.css keeps the rows of printed tables whole. A page shows wide pictures smaller than they are.
+    """
+    html = _PICTURE.sub(r'<a href="\1">\g<0></a>', html)
+    return _ANSWER.sub(lambda block: block[1] + "\n".join(_wrapping(block[2].split("\n"))) + block[3], html)
 
 
 def included_text(text: str) -> str:
@@ -49,6 +57,31 @@ def _with_age(table: re.Match[str]) -> str:
     return f"{table[0]}\n\n*Commit {run.commit} of {run.day}{age}.*"
 
 
-def _marked(line: str) -> str:
-    text = unescape(re.sub(r"<[^>]+>", "", line))
-    return f'<span class="row">{line}</span>' if _COLUMNS.search(text) else line
+def _wrapping(lines: list[str]) -> list[str]:
+    """Return lines of HTML with rows marked, and with each sentence that the command wrapped on one line."""
+    found: list[str] = []
+    sentence = ""  # the last line as text, if a sentence may continue below it
+    for line in lines:
+        text = _text(line)
+        gaps = len(_COLUMNS.findall(text))
+        if gaps > 1 or (gaps and len(text) <= _WIDTH):  # a longer line with one gap is a name with its explanation
+            found.append(f'<span class="row">{line}</span>')
+            sentence = ""
+        elif sentence and _continues(sentence, text):
+            found[-1] += ("" if sentence.endswith("-") else " ") + re.sub(r"(^|>) +", r"\1", line, count=1)
+            sentence = text
+        else:
+            found.append(line)
+            sentence = text
+    return found
+
+
+def _continues(line: str, following: str) -> bool:
+    words = following.split()
+    width = _INDENTED_WIDTH if following.startswith("  ") else _WIDTH
+    is_full = bool(words) and width < len(line) + 1 + len(words[0]) and len(line) <= _WIDTH
+    return is_full and not line.endswith((".", "\\"))
+
+
+def _text(line: str) -> str:
+    return unescape(re.sub(r"<[^>]+>", "", line))

@@ -87,3 +87,24 @@ def test_site_loads_nothing_from_other_hosts(tmp_path):
     for page in sorted((tmp_path / "reference").rglob("*.html")):
         article = re.search("<article.*?</article>", page.read_text(), re.DOTALL)[0]
         assert len(re.sub("<[^>]+>", " ", article).split()) <= 5000, f"{page.parent.name}: split docs/reference"
+
+
+def test_sentences_of_answers_are_joined_and_rows_are_whole(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import site_hooks
+
+    sentence = "distance " * 14 + "floor"  # 131 columns
+    lines = [
+        sentence,
+        "ends here.",
+        "The next one.",
+        "name    value",
+        "name    " + "explanation " * 12,
+        "a  " + "1  " * 60,
+    ]
+    html = '<div class="language-console highlight"><pre><code>' + "\n".join(lines) + "</code></pre></div>"
+    shown = site_hooks.on_page_content(html + '<img alt="a map" src="map.png">')
+    assert shown.splitlines()[0].endswith("floor ends here.")
+    assert shown.splitlines()[1:3] == ["The next one.", '<span class="row">name    value</span>']
+    assert shown.count('class="row"') == 2 and '<span class="row">a  1' in shown
+    assert shown.endswith('<a href="map.png"><img alt="a map" src="map.png"></a>')
