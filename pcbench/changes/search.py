@@ -136,7 +136,7 @@ def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints 
     """
     if min(len(reference), len(candidate)) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
         return SampledChanges.none()
-    finest = finest_side(reference, candidate, _noise(reference, candidate))
+    finest = finest_side(reference, candidate, _noise(reference, candidate, closest))
     side = common_side(reference, candidate, finest)
     samples = _samples(reference, candidate, side)
     if samples is None:
@@ -242,7 +242,7 @@ def _places(
         points = surface.index.every(step)
         every = np.arange(0, len(surface), step)
         matches = other.index.query(points) if known_matches is None else known_matches.at(every)
-        rows = surface.index.query(points).indices if sign > 0 else matches.indices
+        rows = _first_at_places(surface, points, every, closest) if sign > 0 else matches.indices
         vectors = sign * (other.index.points[matches.indices] - points)
         offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
         screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
@@ -251,10 +251,22 @@ def _places(
     return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
 
 
-def _noise(reference: Surface, candidate: Surface) -> float:
+def _first_at_places(surface: Surface, points: FloatArray, rows: IntArray, closest: ClosestPoints | None) -> IntArray:
+    """Return the first point (N,) at the place of each of some points (N, 3), given by their rows (N,)."""
+    if closest is None:
+        return surface.index.query(points).indices
+    away = points - surface.points[closest.nearest_other[rows]]
+    is_shared = np.einsum("ni,ni->n", away, away) == 0
+    first = rows.copy()
+    first[is_shared] = surface.index.query(points[is_shared]).indices
+    return first
+
+
+def _noise(reference: Surface, candidate: Surface, closest: ClosestPoints | None) -> float:
     """Return the standard deviation of the candidate's distances from the reference's planes on the stable part."""
-    points = candidate.index.every(max(1, len(candidate) // _MAX_NOISE_SAMPLE))
-    rows = reference.index.query(points).indices
+    step = max(1, len(candidate) // _MAX_NOISE_SAMPLE)
+    points = candidate.index.every(step)
+    rows = reference.index.query(points).indices if closest is None else closest.to_reference.indices[::step]
     return shortest_width(reference.plane_offsets(points, rows))
 
 
