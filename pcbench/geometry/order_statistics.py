@@ -34,6 +34,13 @@ def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
     return interpolate(below, above, share)
 
 
+def percentiles_of_columns(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
+    """Percentiles (R, C) of each column of values (N, C), N >= 1: `numpy.percentile(values, ranks, axis=0)`."""
+    if len(values) <= _MAX_PARTITIONED:
+        return np.asarray(np.percentile(np.ascontiguousarray(values.T), ranks, axis=1), dtype=np.float64)
+    return np.stack([percentiles(np.ascontiguousarray(column), ranks) for column in values.T], axis=1)
+
+
 def neighboring_ranks(count: int, ranks: Sequence[float]) -> tuple[IntArray, FloatArray]:
     """Return the two order statistics (2, R) between which each percentile lies, and its share (R,) of the way.
 
