@@ -58,10 +58,9 @@ def test_strided_arrays():
     assert order_statistics.median(rows[:, 1]) == np.median(rows[:, 1])
 
 
-@pytest.mark.parametrize("most", [0, 1000])
-def test_percentiles_of_columns(monkeypatch, most):
-    monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", most)
-    rows = np.random.default_rng(6).normal(size=(1000, 3))[::2]
+@pytest.mark.parametrize("count", [1, 2, 500, 40_000])
+def test_percentiles_of_columns(count):
+    rows = np.random.default_rng(6).normal(size=(2 * count, 3))[::2]
     np.testing.assert_array_equal(
         order_statistics.percentiles_of_columns(rows, RANKS), np.percentile(rows, RANKS, axis=0)
     )
