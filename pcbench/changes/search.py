@@ -119,11 +119,13 @@ class ClosestPoints(NamedTuple):
         to_candidate: of each point of the reference in the candidate.
         to_reference: of each point of the candidate in the reference.
         nearest_other: (N,) rows of the nearest other point of each point of the reference.
+        has_duplicates: whether points of the reference are at the same place.
     """
 
     to_candidate: Matches
     to_reference: Matches
     nearest_other: IntArray
+    has_duplicates: bool
 
 
 def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints | None = None) -> SampledChanges:
@@ -242,24 +244,16 @@ def _places(
         points = surface.index.every(step)
         every = np.arange(0, len(surface), step)
         matches = other.index.query(points) if known_matches is None else known_matches.at(every)
-        rows = _first_at_places(surface, points, every, closest) if sign > 0 else matches.indices
+        if sign < 0:
+            rows = matches.indices
+        else:  # the first point at each place
+            rows = surface.index.query(points).indices if closest is None or closest.has_duplicates else every
         vectors = sign * (other.index.points[matches.indices] - points)
         offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
         screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
     side = whole.samples[0].side
     points_of_changes = np.concatenate(changed) if changed else np.zeros((0, 3))
     return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
-
-
-def _first_at_places(surface: Surface, points: FloatArray, rows: IntArray, closest: ClosestPoints | None) -> IntArray:
-    """Return the first point (N,) at the place of each of some points (N, 3), given by their rows (N,)."""
-    if closest is None:
-        return surface.index.query(points).indices
-    away = points - surface.points[closest.nearest_other[rows]]
-    is_shared = np.einsum("ni,ni->n", away, away) == 0
-    first = rows.copy()
-    first[is_shared] = surface.index.query(points[is_shared]).indices
-    return first
 
 
 def _noise(reference: Surface, candidate: Surface, closest: ClosestPoints | None) -> float:
