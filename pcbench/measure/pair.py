@@ -156,7 +156,7 @@ def split_into_budget(
         changes: changes between the complete clouds.
         deformation: the deformation, for its noise.
     """
-    frame = FitFrame.of(reference.points)
+    frame = FitFrame.of(np.array(reference.surface.bounds))
     white = None if deformation.noise is None else deformation.noise.sigma_white
 
     def of(direction: Direction, rows: IntArray | None, labels: NDArray[np.int32]) -> D2Budget | None:
