@@ -16,6 +16,7 @@ from pcbench.changes.offsets import Offsets, shortest_width
 from pcbench.changes.samples import MAX_SAMPLE, SIDE_VOXELS
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.order_statistics import medians_of_rows
 from pcbench.geometry.voxels import cells
 
 # Ratio of the length scales of the whole scene's sample and of the finer one.
@@ -131,8 +132,7 @@ def find_places(
 def _medians_around(values: FloatArray, centers: FloatArray) -> FloatArray:
     """Return the medians (C,) of values (C,) over the region around each cell, given by its centre (C, 3)."""
     near = Index(centers).query(centers, min(_REGION_CELLS, len(centers))).indices.reshape(len(centers), -1)
-    medians: FloatArray = np.median(values[near], axis=1)
-    return medians
+    return medians_of_rows(values, near)
 
 
 def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArray, finer: float) -> FloatArray:

@@ -119,11 +119,13 @@ class ClosestPoints(NamedTuple):
         to_candidate: of each point of the reference in the candidate.
         to_reference: of each point of the candidate in the reference.
         nearest_other: (N,) rows of the nearest other point of each point of the reference.
+        has_duplicates: whether points of the reference are at the same place.
     """
 
     to_candidate: Matches
     to_reference: Matches
     nearest_other: IntArray
+    has_duplicates: bool
 
 
 def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints | None = None) -> SampledChanges:
@@ -136,7 +138,7 @@ def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints 
     """
     if min(len(reference), len(candidate)) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
         return SampledChanges.none()
-    finest = finest_side(reference, candidate, _noise(reference, candidate))
+    finest = finest_side(reference, candidate, _noise(reference, candidate, closest))
     side = common_side(reference, candidate, finest)
     samples = _samples(reference, candidate, side)
     if samples is None:
@@ -242,7 +244,10 @@ def _places(
         points = surface.index.every(step)
         every = np.arange(0, len(surface), step)
         matches = other.index.query(points) if known_matches is None else known_matches.at(every)
-        rows = surface.index.query(points).indices if sign > 0 else matches.indices
+        if sign < 0:
+            rows = matches.indices
+        else:  # the first point at each place
+            rows = surface.index.query(points).indices if closest is None or closest.has_duplicates else every
         vectors = sign * (other.index.points[matches.indices] - points)
         offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
         screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
@@ -251,10 +256,11 @@ def _places(
     return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
 
 
-def _noise(reference: Surface, candidate: Surface) -> float:
+def _noise(reference: Surface, candidate: Surface, closest: ClosestPoints | None) -> float:
     """Return the standard deviation of the candidate's distances from the reference's planes on the stable part."""
-    points = candidate.index.every(max(1, len(candidate) // _MAX_NOISE_SAMPLE))
-    rows = reference.index.query(points).indices
+    step = max(1, len(candidate) // _MAX_NOISE_SAMPLE)
+    points = candidate.index.every(step)
+    rows = reference.index.query(points).indices if closest is None else closest.to_reference.indices[::step]
     return shortest_width(reference.plane_offsets(points, rows))
 
 

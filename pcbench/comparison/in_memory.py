@@ -208,16 +208,17 @@ class PairInMemory:
 
     def summaries(self) -> tuple[DirectionSummary, DirectionSummary]:
         """Return all that the metrics need to know about the distances c→r and r→c."""
-        corner = bounds(self.reference.measured_points)[0]
+        reference = self.reference
+        corner = reference.surface.corner if reference.rows is None else bounds(reference.measured_points)[0]
 
         def summary(direction: Direction) -> DirectionSummary:
             return summarize(
                 direction,
                 self.thresholds,
-                cells=self.reference.cells,
-                voxel=self.reference.voxel,
+                cells=reference.cells,
+                voxel=reference.voxel,
                 corner=corner,
-                origin=self.reference.origin,
+                origin=reference.origin,
             )
 
         forth, back = self.directions
@@ -246,7 +247,7 @@ class PairInMemory:
     def _overviews(self) -> tuple[MapOverview, MapOverview]:
         """Return the rasters of both maps, with the same values as those in tiles."""
         reference = self.reference
-        pixels = PixelGrid.covering(reference.points, *bounds(reference.points), reference.spacing)
+        pixels = PixelGrid.covering(reference.points, *reference.surface.bounds, reference.spacing)
 
         def overview(direction: Direction, tangents: IntArray | None, sign: int) -> MapOverview:
             """Return the raster of a direction, whose planes are those at rows (M,) of the reference, or at all."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.geometry.order_statistics import NORMAL_MAD, percentiles_of_columns
 from pcbench.geometry.voxels import cells
 
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
@@ -36,7 +36,7 @@ class Blocks(NamedTuple):
     @classmethod
     def of(cls, places: FloatArray) -> Blocks:
         """Return the blocks of positions (N, 3)."""
-        lower, upper = np.percentile(places, [1, 99], axis=0)
+        lower, upper = percentiles_of_columns(places, [1, 99])
         side = float((upper - lower).max()) / _BLOCKS_ALONG_SCENE
         grid = cells(places, side, lower)
         means = np.stack([grid.means(places[:, axis]) for axis in range(3)], axis=1)

@@ -21,7 +21,7 @@ from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.order_statistics import robust_sigma
+from pcbench.geometry.order_statistics import percentiles_of_columns, robust_sigma
 from pcbench.geometry.sampling import line_gaps, median_spacing
 from pcbench.geometry.voxels import cells
 
@@ -158,7 +158,7 @@ class PairSearch:
     def _fit(self, follow: bool) -> tuple[_PlanePairs, Displacement] | None:
         """Fit the largest model to closest points; return the last pairs, and the model."""
         points, surface = self.queries.surface.points[self.rows], self.surface.surface
-        lower, upper = np.percentile(points, [1, 99], axis=0)
+        lower, upper = percentiles_of_columns(points, [1, 99])
         field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
         pairs, closest, displacements = None, self.closest, np.zeros_like(points)
         for _ in range(_MAX_WIDENINGS if follow else 1):
@@ -387,7 +387,7 @@ def _fit_frozen_pairs(
 def tile_sums(pairs: Pairs) -> TileSums:
     """Sum pairs over cells as large as the scene allows: about 60 tiles of two cells' edge."""
     counted = pairs.places[pairs.weights > 0]
-    lower, upper = np.percentile(counted, [1, 99], axis=0)
+    lower, upper = percentiles_of_columns(counted, [1, 99])
     span = float((upper - lower).max())
     side = span / CELLS_ALONG
     for _ in range(12):

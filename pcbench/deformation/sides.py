@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcbench.changes import STABLE
 from pcbench.deformation.displacement import Displacement
-from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
@@ -68,7 +68,7 @@ class Side:
     @property
     def corners(self) -> FloatArray:
         """Lowest and highest corner (2, 3) of the points."""
-        return np.array(bounds(self.surface.points))
+        return np.array(self.surface.bounds)
 
     def classes(self, rows: IntArray) -> NDArray[Any] | None:
         """Return the LAS classes (M,) of points; None without classes."""

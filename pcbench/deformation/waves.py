@@ -22,6 +22,7 @@ from pcbench.deformation.sides import extent
 from pcbench.deformation.size import MAX_P_SIGNIFICANT
 from pcbench.deformation.verdict import in_standard_errors
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import percentiles_of_columns
 
 _STEP = (
     0.5  # cycles along the extent between two wave numbers: waves between them keep at least two thirds of the power
@@ -50,7 +51,7 @@ def find_waves(pairs: Pairs) -> WaveSearch:
         values[counted] for values in (pairs.places, pairs.normals, pairs.remainders, pairs.weights)
     )
     size = extent(places)
-    plane = np.sort(np.argsort(np.ptp(np.percentile(places, [1, 99], axis=0), axis=0))[1:])
+    plane = np.sort(np.argsort(np.ptp(percentiles_of_columns(places, [1, 99]), axis=0))[1:])
     across = (places[:, plane] - places[:, plane].mean(axis=0)) / size
     most = min(_MAX_CYCLES, math.sqrt(len(places)) / _PAIRS_ALONG)
     numbers = _wave_numbers(most)

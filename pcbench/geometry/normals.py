@@ -13,7 +13,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
-from pcbench.geometry.voxels import cells, voxel_downsample
+from pcbench.geometry.voxels import cells
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
@@ -168,10 +168,15 @@ class Surface:
         """Median spacing from an even sample of the points; see `median_spacing`."""
         return self.sampling.spacing
 
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner (3,) of the points."""
+        return bounds(self.points)
+
     @property
     def corner(self) -> FloatArray:
         """Lowest corner (3,) of the points."""
-        return bounds(self.points)[0]
+        return self.bounds[0]
 
     def first_in_cells(self, side: float, region: Region | None = None) -> IntArray:
         """Return the rows of the first point inside a region in each occupied cell of an edge length.
@@ -179,7 +184,7 @@ class Surface:
         Cells count from the lowest corner of all points; see `voxel_downsample`.
         """
         if region is None:
-            return voxel_downsample(self.points, side)
+            return cells(self.points, side, self.corner).first
         inside = np.flatnonzero(region.contains(self.points))
         return inside[cells(self.points[inside], side, self.corner).first]
 

@@ -15,7 +15,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
 
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
-_MAX_PARTITIONED = 20_000  # smaller arrays are partitioned by numpy: the selection's histogram has a fixed cost
+_MAX_PARTITIONED = 10_000  # smaller arrays are partitioned by numpy: the selection's histogram has a fixed cost
 
 
 def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
@@ -32,6 +32,14 @@ def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
     neighbors, share = neighboring_ranks(len(values), ranks)
     below, above = _order_statistics(values, None, neighbors)
     return interpolate(below, above, share)
+
+
+def percentiles_of_columns(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
+    """Percentiles (R, C) of each column of values (N, C), N >= 1: `numpy.percentile(values, ranks, axis=0)`."""
+    neighbors, share = neighboring_ranks(len(values), ranks)
+    columns = [_order_statistics(column, None, neighbors) for column in values.T]
+    below, above = np.stack(columns, axis=2)
+    return interpolate(below, above, share[:, None])
 
 
 def neighboring_ranks(count: int, ranks: Sequence[float]) -> tuple[IntArray, FloatArray]:

@@ -7,8 +7,8 @@ step^2 / 12 (Widrow & Kollar 2008, "Quantization Noise", eq. 4.2).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ _TESTED_GAPS, _MIN_TESTED_SHARE = 64, 0.75  # gaps that rule out most steps, and
 _MAX_ERROR = 0.05  # of these multiples, in steps
 _DECIMAL_FACTORS = (1.0, 0.5, 0.25, 0.2)
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+_DECADES, _OCTAVES = 12, 24  # from about the smallest gap downwards
 _RANKS = (0.0, 1.0, 10.0)  # percentiles of the differences that may be one step
 _MAX_GRID_DOUBLES, _MIN_GRID_SHARE = 0.05, 0.3  # points that share a node, and nodes with a point, of a regular grid
 _NEGLIGIBLE_SHARE = 1e-7  # of the largest coordinate range: float32 without an offset
@@ -162,7 +163,7 @@ def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
     """
     errors = value_errors[1:] + value_errors[:-1]
     stride = max(1, len(gaps) // _TESTED_GAPS)
-    steps = np.array(sorted(set(_possible_steps(gaps)), reverse=True))
+    steps = np.unique(_possible_steps(gaps))[::-1]
     shares = _share_of_multiples(gaps[::stride], errors[::stride], steps[:, None])
     for step in map(float, steps[shares >= _MIN_TESTED_SHARE]):
         if _share_of_multiples(gaps, errors, step) < _MIN_SHARE:
@@ -181,19 +182,27 @@ def _share_of_multiples(gaps: FloatArray, errors: FloatArray, steps: FloatArray 
     return np.asarray(np.count_nonzero(is_multiple, axis=-1) / len(gaps))
 
 
-def _possible_steps(gaps: FloatArray) -> Iterator[float]:
-    """Yield steps that files have, and small gaps themselves, from about the smallest gap downwards."""
-    least = [float(gap) for gap in np.percentile(gaps, _RANKS)]
-    yield from (float(gaps.sum() / np.maximum(np.round(gaps / gap), 1.0).sum()) for gap in least)
-    limit = 1.01 * least[-1]
-    decade = int(np.ceil(np.log10(limit))) + 1
-    for exponent in range(decade, decade - 12, -1):
-        for factor in _DECIMAL_FACTORS:
-            for unit in (1.0, _FOOT, _SURVEY_FOOT):
-                if (step := unit * factor * 10.0**exponent) <= limit:
-                    yield step
-    octave = int(np.floor(np.log2(limit)))
-    yield from (2.0**exponent for exponent in range(octave, octave - 24, -1))
+def _possible_steps(gaps: FloatArray) -> FloatArray:
+    """Return steps (S,) that files have, and small gaps themselves, from about the smallest gap downwards."""
+    least = np.percentile(gaps, _RANKS)
+    of_gaps = [gaps.sum() / np.maximum(np.round(gaps / gap), 1.0).sum() for gap in least]
+    limit = 1.01 * float(least[-1])
+    decimals = _decimal_steps(int(np.ceil(np.log10(limit))) + 1)
+    binary = np.ldexp(1.0, int(np.floor(np.log2(limit))) - np.arange(_OCTAVES))
+    return np.concatenate([of_gaps, decimals[decimals <= limit], binary])
+
+
+@cache
+def _decimal_steps(decade: int) -> FloatArray:
+    """Return decimal steps (S,) of the decades up to 10^decade."""
+    return np.array(
+        [
+            unit * factor * 10.0**exponent
+            for exponent in range(decade, decade - _DECADES, -1)
+            for factor in _DECIMAL_FACTORS
+            for unit in (1.0, _FOOT, _SURVEY_FOOT)
+        ]
+    )
 
 
 def _is_grid(places: FloatArray, steps: FloatArray, offsets: FloatArray, count: int) -> bool:

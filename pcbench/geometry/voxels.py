@@ -8,6 +8,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.order_statistics import percentiles_of_columns
 from pcbench.native import _core
 
 
@@ -74,8 +75,7 @@ def open3d_voxel_means(points: FloatArray, side: float) -> FloatArray:
 
 def robust_bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the corners (3,) of the box around the inner 98 % of points (N, 3) along each axis: robust to outliers."""
-    sample = np.ascontiguousarray(points[:: max(1, len(points) // 100_000)].T)
-    lower, upper = np.percentile(sample, [1, 99], axis=1)
+    lower, upper = percentiles_of_columns(points[:: max(1, len(points) // 100_000)], [1, 99])
     return lower, upper
 
 

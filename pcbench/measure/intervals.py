@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.voxels import robust_bounds
+from pcbench.native import _core
 
 _CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
 _CORRELATION_RADII = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
@@ -214,12 +215,6 @@ def _grid_totals(values: FloatArray) -> FloatArray:
 
 def _box_sums(values: FloatArray, reach: int) -> FloatArray:
     """Return (Q, X, Y, Z) sums over the cells up to `reach` cells away along each axis."""
-    for axis in (1, 2, 3):
-        size = values.shape[axis]
-        if reach == 0 or size == 1:
-            continue
-        sums = np.concatenate([np.zeros_like(values.take([0], axis)), np.cumsum(values, axis)], axis)
-        place = np.arange(size)
-        above, below = np.minimum(place + reach + 1, size), np.maximum(place - reach, 0)
-        values = sums.take(above, axis) - sums.take(below, axis)
-    return values
+    sums = np.empty(values.shape)
+    _core.box_sums(np.ascontiguousarray(values), reach, sums)
+    return sums

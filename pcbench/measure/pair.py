@@ -119,8 +119,9 @@ def measure_directions(
 def find_changes(reference: Reference, aligned: AlignedCandidate, matched: Matched) -> Changes:
     """Find the changes between the complete clouds, in the reference's local coordinates."""
     closest = None
-    if reference.region is None and reference.nearest_other is not None:
-        closest = ClosestPoints(matched.back, matched.forth, reference.nearest_other)
+    if reference.region is None and reference.nearest_other is not None and reference.neighbors is not None:
+        has_duplicates = reference.neighbors.smallest == 0
+        closest = ClosestPoints(matched.back, matched.forth, reference.nearest_other, has_duplicates)
     changes = separate_changes(*_sides(reference, aligned), closest)
     return changes.of_points(reference.points, aligned.index.points)
 
@@ -155,7 +156,7 @@ def split_into_budget(
         changes: changes between the complete clouds.
         deformation: the deformation, for its noise.
     """
-    frame = FitFrame.of(reference.points)
+    frame = FitFrame.of(np.array(reference.surface.bounds))
     white = None if deformation.noise is None else deformation.noise.sigma_white
 
     def of(direction: Direction, rows: IntArray | None, labels: NDArray[np.int32]) -> D2Budget | None:

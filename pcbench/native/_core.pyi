@@ -91,6 +91,12 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     written in place. Returned is False, and nothing is written, if a value is NaN.
     """
 
+def box_sums(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], reach: int, sums: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu')]) -> None:
+    """
+    Sums (Q, X, Y, Z), written in place, of values (Q, X, Y, Z) over the cells up to `reach` cells away along the
+    last three axes.
+    """
+
 def medians_of_rows(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], medians: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
     """
     Median (M,) of the values (N,) at each row of indices (M, K), written in place.

@@ -320,7 +320,7 @@ def assess_given(
     else:
         sample = Index(points[:_MAX_SAMPLE])
     moved = T_local.apply(sample.points)
-    lower, upper = bounds(surface.points)
+    lower, upper = surface.bounds
     margin = 0.1 * float(np.linalg.norm(upper - lower))
     # Fewer than three points have no extent that could overlap.
     if len(surface) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):

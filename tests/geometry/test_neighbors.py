@@ -72,6 +72,16 @@ def test_k_nearest_equals_brute_force(shape, k):
     assert_matches(Index(points).query(queries, k), brute_force_nearest(queries, points, k))
 
 
+def test_distances_that_differ_in_their_last_bits_are_in_order():
+    """Groups of queries sort by all but the last 12 bits first."""
+    rng = np.random.default_rng(9)
+    directions = rng.normal(size=(400, 3))
+    radii = 1 + 2e-16 * rng.integers(0, 3000, 400)
+    points = directions / np.linalg.norm(directions, axis=1, keepdims=True) * radii[:, None]
+    queries = 1e-13 * rng.normal(size=(400, 3))
+    assert_matches(Index(points).query(queries, 120), brute_force_nearest(queries, points, 120))
+
+
 def test_k_may_equal_the_number_of_points(shape):
     rng = np.random.default_rng(3)
     points = shape(rng, 77)

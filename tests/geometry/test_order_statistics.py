@@ -58,6 +58,14 @@ def test_strided_arrays():
     assert order_statistics.median(rows[:, 1]) == np.median(rows[:, 1])
 
 
+@pytest.mark.parametrize("count", [1, 2, 500, 40_000])
+def test_percentiles_of_columns(count):
+    rows = np.random.default_rng(6).normal(size=(2 * count, 3))[::2]
+    np.testing.assert_array_equal(
+        order_statistics.percentiles_of_columns(rows, RANKS), np.percentile(rows, RANKS, axis=0)
+    )
+
+
 def test_few_values_are_left_to_numpy(monkeypatch):
     monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", 100)
     monkeypatch.setattr(order_statistics, "_core", None)

@@ -18,10 +18,21 @@ from pcbench.measure.intervals import (
     spreads,
     student_t_quantile,
 )
+from pcbench.native import _core
 
 SIDE = 24
 CELLS = CorrelationCells(np.arange(SIDE * SIDE), (SIDE, SIDE, 1), 0.5)
 EQUAL_WEIGHTS = np.full(SIDE * SIDE, 1 / SIDE**2)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 8])
+def test_box_sums_are_those_of_the_cells_around(reach):
+    values = np.random.default_rng(4).integers(-9, 9, (2, 5, 1, 7)).astype(float)
+    sums = np.empty(values.shape)
+    _core.box_sums(values, reach, sums)
+    for cell in np.ndindex(values.shape[1:]):
+        box = tuple(slice(max(place - reach, 0), place + reach + 1) for place in cell)
+        np.testing.assert_array_equal(sums[:, *cell], values[:, *box].sum(axis=(1, 2, 3)))
 
 
 def moving_average(rng, width):

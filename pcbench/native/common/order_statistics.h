@@ -9,14 +9,14 @@
 
 namespace pcbench {
 
-// Leading 16 bits of a double, as an integer with the order of the values: sign, exponent and four bits of the
-// mantissa.
-inline size_t leading_bits(double value) {
+// Leading bits of a double, as an integer with the order of the values: sign, exponent and, of 16 bits, four bits of
+// the mantissa.
+inline size_t leading_bits(double value, unsigned count) {
     uint64_t bits;
     std::memcpy(&bits, &value, sizeof bits);
     // A larger magnitude of a negative value is a smaller value.
     const uint64_t flipped = bits >> 63 ? ~uint64_t{0} : uint64_t{1} << 63;
-    return static_cast<size_t>((bits ^ flipped) >> 48);
+    return static_cast<size_t>((bits ^ flipped) >> (64 - count));
 }
 
 // Writes the values of the ascending `ranks` among [first, last), which is reordered. `offset` is the rank of *first.
@@ -38,13 +38,14 @@ inline void select_ranks(double* first, double* last, size_t offset, const size_
 // and writes nothing, if one of them is NaN.
 template <typename Value>
 bool order_statistics(size_t count, Value value, const size_t* ranks, size_t rank_count, double* found) {
-    constexpr size_t kBins = size_t{1} << 16;
-    std::vector<size_t> counts(kBins);
+    constexpr size_t kFewValues = 1 << 14;  // of which a long histogram would take most of the time
+    const unsigned bits = count < kFewValues ? 12 : 16;
+    std::vector<size_t> counts(size_t{1} << bits);
     bool has_nan = false;
     for (size_t i = 0; i < count; ++i) {
         const double v = value(i);
         has_nan |= v != v;
-        ++counts[leading_bits(v)];
+        ++counts[leading_bits(v, bits)];
     }
     if (has_nan) return false;
 
@@ -52,7 +53,7 @@ bool order_statistics(size_t count, Value value, const size_t* ranks, size_t ran
         size_t offset, begin, end, first_rank, last_rank;
     };
     std::vector<Slot> slots;
-    std::vector<uint32_t> slot_of_bin(kBins, 0);  // counted from 1; 0: no requested rank
+    std::vector<uint32_t> slot_of_bin(counts.size(), 0);  // counted from 1; 0: no requested rank
     size_t below = 0, gathered = 0;
     for (size_t bin = 0, rank = 0; rank < rank_count; below += counts[bin++]) {
         const size_t first_rank = rank;
@@ -69,7 +70,7 @@ bool order_statistics(size_t count, Value value, const size_t* ranks, size_t ran
     for (const Slot& slot : slots) next.push_back(slot.begin);
     for (size_t i = 0; i < count; ++i) {
         const double v = value(i);
-        const uint32_t slot = slot_of_bin[leading_bits(v)];
+        const uint32_t slot = slot_of_bin[leading_bits(v, bits)];
         buffer[next[slot]] = v;
         next[slot] += slot != 0;
     }

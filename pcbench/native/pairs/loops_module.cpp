@@ -274,6 +274,34 @@ void whole_normal_equations(Points positions, Points normals, Column residuals, 
                                               moments.data(), scores.data());
 }
 
+// Sums over boxes of cells, one axis after the other: differences of running sums, in the order of the cells.
+void box_sums(In<double, nb::ndim<4>> values, size_t reach, Out<double, nb::ndim<4>> sums) {
+    for (int axis = 0; axis < 4; ++axis)
+        check(sums.shape(axis) == values.shape(axis), "box_sums: expected sums of the shape of the values");
+    double* const data = sums.data();
+    std::copy_n(values.data(), values.size(), data);
+    if (reach == 0) return;
+    const nb::gil_scoped_release release;
+    std::vector<double> running;
+    size_t outer = values.shape(0), inner = values.size() / std::max<size_t>(outer, 1);
+    for (int axis = 1; axis < 4; ++axis) {
+        const size_t size = values.shape(axis);
+        inner /= std::max<size_t>(size, 1);
+        running.assign((size + 1) * inner, 0.0);
+        for (size_t o = 0; o < outer && size > 1; ++o) {
+            double* const lines = data + o * size * inner;
+            std::copy_n(lines, inner, running.data() + inner);
+            for (size_t i = inner; i < size * inner; ++i) running[i + inner] = running[i] + lines[i];
+            for (size_t i = 0; i < size; ++i) {
+                const double* const above = running.data() + std::min(i + reach + 1, size) * inner;
+                const double* const below = running.data() + (i > reach ? i - reach : 0) * inner;
+                for (size_t j = 0; j < inner; ++j) lines[i * inner + j] = above[j] - below[j];
+            }
+        }
+        outer *= size;
+    }
+}
+
 }  // namespace
 
 void bind_loops(nb::module_& m) {
@@ -302,6 +330,10 @@ void bind_loops(nb::module_& m) {
         nb::arg("ranks").noconvert(), nb::arg("found").noconvert(),
         "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
         "written in place. Returned is False, and nothing is written, if a value is NaN.");
+    m.def("box_sums", &box_sums, nb::arg("values").noconvert(), nb::arg("reach"), nb::arg("sums").noconvert(),
+          "Sums (Q, X, Y, Z), written in place, of values (Q, X, Y, Z) over the cells up to `reach` cells away along "
+          "the\n"
+          "last three axes.");
     m.def("medians_of_rows", &medians_of_rows, nb::arg("values").noconvert(), nb::arg("rows").noconvert(),
           nb::arg("medians").noconvert(),
           "Median (M,) of the values (N,) at each row of indices (M, K), written in place.");

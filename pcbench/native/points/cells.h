@@ -41,46 +41,45 @@ struct OccupiedCells {
 
 // Writes the cell of each point. Cells are numbered in the order of their first points.
 inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
-    struct Slot {
-        Cell cell;
-        uint32_t label;
-    };
     constexpr uint32_t kNone = UINT32_MAX;
-    constexpr Slot kEmpty = {{0, 0, 0}, kNone};
     constexpr size_t kBatch = 64;  // slots are prefetched together: a single access would wait for memory
     unsigned bits = 10;
-    std::vector<Slot> table(size_t{1} << bits, kEmpty);
+    std::vector<uint32_t> table(size_t{1} << bits, kNone);  // labels
+    std::vector<Cell> labelled;                             // the cell of each label
     OccupiedCells cells;
     const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
-    const auto find = [&](const Cell& cell) -> Slot& {
+    const auto find = [&](const Cell& cell) -> uint32_t& {
         size_t at = slot_of(cell);
-        while (table[at].label != kNone && !(table[at].cell == cell)) at = (at + 1) & (table.size() - 1);
+        while (table[at] != kNone && !(labelled[table[at]] == cell)) at = (at + 1) & (table.size() - 1);
         return table[at];
     };
     const auto grow = [&] {
-        std::vector<Slot> old(size_t{4} << bits, kEmpty);
-        old.swap(table);
         bits += 2;
-        for (const Slot& slot : old)
-            if (slot.label != kNone) find(slot.cell) = slot;
+        table.assign(size_t{1} << bits, kNone);
+        for (uint32_t label = 0; label < labelled.size(); ++label) {
+            size_t at = slot_of(labelled[label]);
+            while (table[at] != kNone) at = (at + 1) & (table.size() - 1);
+            table[at] = label;
+        }
     };
     for (size_t start = 0; start < count; start += kBatch) {
         const size_t size = std::min(kBatch, count - start);
-        while (2 * (cells.first.size() + size) > table.size()) grow();
+        while (2 * (labelled.size() + size) > table.size()) grow();
         Cell batch_cells[kBatch];
         for (size_t i = 0; i < size; ++i) {
             batch_cells[i] = grid.cell(points + 3 * (start + i));
             __builtin_prefetch(&table[slot_of(batch_cells[i])], 1);
         }
         for (size_t i = 0; i < size; ++i) {
-            Slot& slot = find(batch_cells[i]);
-            if (slot.label == kNone) {
-                slot = {batch_cells[i], static_cast<uint32_t>(cells.first.size())};
+            uint32_t& label = find(batch_cells[i]);
+            if (label == kNone) {
+                label = static_cast<uint32_t>(labelled.size());
+                labelled.push_back(batch_cells[i]);
                 cells.first.push_back(static_cast<int64_t>(start + i));
                 cells.counts.push_back(0);
             }
-            labels[start + i] = slot.label;
-            ++cells.counts[slot.label];
+            labels[start + i] = label;
+            ++cells.counts[label];
         }
     }
     return cells;

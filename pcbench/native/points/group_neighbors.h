@@ -10,7 +10,7 @@ class GroupNeighbors {
 public:
     // Memory for the candidates of one group, one per thread and reused. After tightening, at most k points remain for
     // each query.
-    static size_t capacity(size_t k) { return kLanes * k + 8 * kFanout * kFanout; }
+    static constexpr size_t capacity(size_t k) { return kLanes * k + 8 * kFanout * kFanout; }
     static size_t bytes(size_t k) { return capacity(k) * (sizeof(double[kLanes]) + sizeof(uint32_t[2])); }
 
     // Only points within the squared distance `limit` of a query are candidates.

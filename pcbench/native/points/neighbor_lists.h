@@ -74,10 +74,9 @@ public:
     double squared(size_t i) const { return squared_[i]; }
     double row(size_t i) const { return rows_[i]; }
 
-    // Writes the point behind the others; the next one overwrites it if it is not kept.
-    void append(double squared, double row, bool keep = true) {
+    void append(double squared, double row) {
         squared_[count_] = squared, rows_[count_] = row;
-        count_ += keep;
+        ++count_;
     }
 
     void clear() { count_ = 0; }
