@@ -86,7 +86,8 @@ def match(
         # Depths from a coarser level are close already: one more sweep at full size brought 0.4 % of the depths to
         # within a pixel's footprint of the truth, for a third of the time.
         count = iterations if level or coarsest else max(1, iterations - 1)
-        state.improve(scaled, others, None, depth_range, count, 0 if coarsest else _REFINEMENT_SWEEP - 1, seed + level)
+        first = 0 if coarsest else _REFINEMENT_SWEEP - 1
+        state.improve(scaled, others, None, depth_range, count, first, seed + level, half_patches=True)
     assert state is not None
     return state.map()
 
@@ -117,7 +118,9 @@ def refine(
     """
     planes = np.concatenate([initial.depth[..., None], initial.normal], axis=2, dtype=np.float32)
     state = _SearchState.initial(planes, len(sources))
-    state.improve(reference, sources, source_depths, depth_range, iterations, _REFINEMENT_SWEEP, seed)
+    state.improve(
+        reference, sources, source_depths, depth_range, iterations, _REFINEMENT_SWEEP, seed, half_patches=False
+    )
     return state.map()
 
 
@@ -149,8 +152,14 @@ class _SearchState(NamedTuple):
         iterations: int,
         first_sweep: int,
         seed: int,
+        *,
+        half_patches: bool,
     ) -> None:
-        """Run sweeps of the compiled search in place; perturbations shrink with the sweep number."""
+        """Run sweeps of the compiled search in place; perturbations shrink with the sweep number.
+
+        Patches of 13 instead of 25 texels (`half_patches`) take less time. Depths found with them are as good after
+        refinement with whole patches.
+        """
         nearest, farthest = depth_range
         if not 1 <= len(sources) <= MAX_SOURCES:
             raise InputError(f"expected 1 to {MAX_SOURCES} sources, got {len(sources)}")
@@ -167,7 +176,15 @@ class _SearchState(NamedTuple):
         motions = [_pixels_per_depth(reference.camera, source.camera, depth_range) for source in sources]
         min_variance = max(1.0, _MIN_TEXTURE_TO_NOISE * noise_variance(reference.gray))
         matcher = _patchmatch.Matcher(
-            reference.gray, pinhole, valid, nearest, farthest, float(np.median(motions)), min_variance, seed
+            reference.gray,
+            pinhole,
+            valid,
+            nearest,
+            farthest,
+            float(np.median(motions)),
+            min_variance,
+            half_patches,
+            seed,
         )
         for i, source in enumerate(sources):
             forward = projection_between(reference.camera, source.camera)

@@ -14,7 +14,7 @@ def isa() -> str:
 class Matcher:
     """Search for one photograph's depth map."""
 
-    def __init__(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], pinhole: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], valid: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, nearest: float, farthest: float, pixels_per_depth: float, min_variance: float, seed: int) -> None: ...
+    def __init__(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], pinhole: Annotated[NDArray[numpy.float32], dict(shape=(4), order='C', device='cpu', writable=False)], valid: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, nearest: float, farthest: float, pixels_per_depth: float, min_variance: float, half_patches: bool, seed: int) -> None: ...
 
     def add_source(self, gray: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], motion: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], depth: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, back: Annotated[NDArray[numpy.float32], dict(shape=(3, 4), order='C', device='cpu', writable=False)], visible: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None) -> None:
         """

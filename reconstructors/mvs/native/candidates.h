@@ -9,7 +9,8 @@ namespace pcbench::mvs::PCB_ISA {
 // but the offset from the group's first pixel, a few rows at most, does not.
 class Records {
 public:
-    Records(const float* array, int width, const Group& group, Ints pixels)
+    template <int kEvery>
+    Records(const float* array, int width, const Group<kEvery>& group, Ints pixels)
         : nearby_(array + static_cast<int64_t>(group.pixel[0]) * width),
           offsets_((pixels - Ints(group.pixel[0])) * Ints(width)) {}
     Floats operator[](int column) const { return gather(nearby_ + column, offsets_); }
@@ -19,7 +20,8 @@ private:
     Ints offsets_;
 };
 
-inline Planes planes_at(const State& state, const Group& group, Ints pixels) {
+template <int kEvery>
+inline Planes planes_at(const State& state, const Group<kEvery>& group, Ints pixels) {
     const Records planes(state.plane, 4, group, pixels);
     return {planes[0], planes[1], planes[2], planes[3]};
 }
@@ -58,14 +60,16 @@ public:
     }
 
     // Score the queued planes in all sources.
-    void score(const Problem& problem, const Patches& patches) {
+    template <int kEvery>
+    void score(const Problem& problem, const Patches<kEvery>& patches) {
         score_in(0, sources_, problem, patches, queue_, queued_);
         queued_ = 0;
     }
 
     // Score the queued planes in the sources that have weight at their pixels, one source after the other. A plane
     // whose weighted sum of costs has reached the limit of its pixel is not scored in the remaining sources.
-    void score_below(Floats limits, const Floats* weights, const Problem& problem, const Patches& patches) {
+    template <int kEvery>
+    void score_below(Floats limits, const Floats* weights, const Problem& problem, const Patches<kEvery>& patches) {
         float limit[kLanes], weight[kLanes];
         store(limit, limits);
         for (int s = 0; s < sources_; ++s) {
@@ -93,14 +97,16 @@ public:
 
 private:
     // Score planes in a range of sources. The list must have room for sixteen more: the last vector is filled up.
-    void score_in(int begin, int end, const Problem& problem, const Patches& patches, int32_t* planes, int count) {
+    template <int kEvery>
+    void score_in(int begin, int end, const Problem& problem, const Patches<kEvery>& patches, int32_t* planes,
+                  int count) {
         for (int first = 0; first < count; first += kLanes) {
             const int used = count - first < kLanes ? count - first : kLanes;
             int32_t* at = planes + first;
             for (int l = used; l < kLanes; ++l) at[l] = at[used - 1];
             const Ints from = load(at);
             const Planes here = {gather(depth_, from), gather(nx_, from), gather(ny_, from), gather(nz_, from)};
-            const Patches patches_here = patches.permute(from & Ints(kLanes - 1));
+            const Patches<kEvery> patches_here = patches.permute(from & Ints(kLanes - 1));
             for (int s = begin; s < end; ++s) {
                 float cost[kLanes];
                 store(cost, PCB_ISA::score(problem, problem.sources[s], patches_here, here));

@@ -60,7 +60,7 @@ void split(Matrix motion, float* linear, float* shift) {
 class Matcher {
 public:
     Matcher(Gray gray, In<float, nb::shape<4>> pinhole, std::optional<Gray> valid, double nearest, double farthest,
-            double pixels_per_depth, double min_variance, uint32_t seed)
+            double pixels_per_depth, double min_variance, bool half_patches, uint32_t seed)
         : gray_(gray), valid_(valid) {
         problem_.gray = gray_.data();
         problem_.height = static_cast<int>(gray_.shape(0));
@@ -79,6 +79,7 @@ public:
         problem_.pixels_per_depth = static_cast<float>(pixels_per_depth);
         check(min_variance > 0, "expected min_variance > 0");
         problem_.min_variance = static_cast<float>(min_variance);
+        problem_.half_patches = half_patches;
         problem_.seed = seed;
         for (int k = 0; k < 25; ++k) {
             const double i = k % 5 - 2, j = k / 5 - 2;
@@ -192,10 +193,11 @@ NB_MODULE(_patchmatch, m) {
     m.def("isa", [] { return kernels().name; }, "The instruction set in use: baseline, avx2 or avx512.");
 
     nb::class_<Matcher>(m, "Matcher", "Search for one photograph's depth map.")
-        .def(nb::init<Gray, In<float, nb::shape<4>>, std::optional<Gray>, double, double, double, double, uint32_t>(),
+        .def(nb::init<Gray, In<float, nb::shape<4>>, std::optional<Gray>, double, double, double, double, bool,
+                      uint32_t>(),
              nb::arg("gray").noconvert(), nb::arg("pinhole").noconvert(), nb::arg("valid").noconvert().none(),
              nb::arg("nearest"), nb::arg("farthest"), nb::arg("pixels_per_depth"), nb::arg("min_variance"),
-             nb::arg("seed"))
+             nb::arg("half_patches"), nb::arg("seed"))
         .def("add_source", &Matcher::add_source, nb::arg("gray").noconvert(), nb::arg("motion").noconvert(),
              nb::arg("depth").noconvert().none(), nb::arg("back").noconvert(), nb::arg("visible").noconvert().none(),
              "Add a source image.\n\n"

@@ -34,6 +34,7 @@ struct Problem {
     float nearest = 0, farthest = 0;  // depth range of the search
     float pixels_per_depth = 0;       // displacement of a point in a source, in pixels per unit of inverse depth
     float min_variance = 1;           // variance of a patch with texture, in squared grey levels
+    bool half_patches = false;        // whether patches have 13 instead of 25 texels, one colour of a chessboard
     uint32_t seed = 0;
     float space_weights[25] = {};  // per texel of a patch
     float gray_weights[256] = {};  // per absolute grey level difference from the patch's centre

@@ -53,7 +53,8 @@ struct Neighbor {
     Floats dx, dy, cost;
 };
 
-inline Neighbor best_of_region(const Problem& problem, const State& state, const Group& group, int number) {
+template <int kEvery>
+inline Neighbor best_of_region(const Problem& problem, const State& state, const Group<kEvery>& group, int number) {
     const Region& steps = kRegionOffsets[number];
     Floats least = Floats(kNoNeighborCost), best = Floats(-1.0f);
     for (int k = 0; k < steps.count; ++k) {

@@ -1,5 +1,5 @@
 // Photometric cost of planes: bilaterally weighted zero-mean normalised correlation of a 9 x 9 window, of which every
-// second texel in both directions is used (Schonberger et al. 2016, eq. 9, with fewer texels).
+// second texel in both directions is used, or half of these (Schonberger et al. 2016, eq. 9, with fewer texels).
 // Included once for each instruction set, see kernels_isa.h.
 #pragma once
 #include "ints.h"
@@ -7,10 +7,14 @@
 
 namespace pcbench::mvs::PCB_ISA {
 
-constexpr int kPatchRadius = 2, kPatchStep = 2, kPatchSide = 2 * kPatchRadius + 1, kTexels = kPatchSide * kPatchSide;
+constexpr int kPatchRadius = 2, kPatchStep = 2, kPatchSide = 2 * kPatchRadius + 1;
+constexpr int kPatchTexels = kPatchSide * kPatchSide;
 
-// Precomputed values of the reference patches of sixteen pixels.
+// Precomputed values of the reference patches of sixteen pixels, for every kEvery-th texel in the order of rows: all,
+// or with kEvery = 2 one colour of a chessboard.
+template <int kEvery>
 struct Patches {
+    static constexpr int kTexels = (kPatchTexels + kEvery - 1) / kEvery;
     Floats weight[kTexels];   // they sum to one
     Floats product[kTexels];  // weight times the deviation from the weighted mean
     Floats variance, x, y, ray_x, ray_y;
@@ -30,11 +34,13 @@ struct Patches {
 };
 
 // Sixteen pixels, every second one of a row. Lanes beyond the row repeat its last pixel and are not valid.
+template <int kEvery>
 struct Group {
+    static constexpr int kTexels = Patches<kEvery>::kTexels;
     int first, y, count = 0;  // first column, row, and number of pixels inside the row
     int32_t pixel[kLanes];
     Mask valid;
-    Patches patches;
+    Patches<kEvery> patches;
 
     Group(const Problem& problem, int row, int start) : first(start), y(row) {
         float x[kLanes], counts[kLanes];
@@ -57,7 +63,7 @@ struct Group {
 
 private:
     void compute_weights(const Problem& problem) {
-        Floats gray[kTexels];
+        Floats gray[kPatchTexels];
         int k = 0;
         for (int j = -kPatchRadius; j <= kPatchRadius; ++j) {
             const uint8_t* line =
@@ -71,17 +77,17 @@ private:
         const Floats zero = Floats(0.0f);
         Floats total = zero, mean = zero, spread = zero;
         for (k = 0; k < kTexels; ++k) {
-            const Floats step = gray[k] - gray[kTexels / 2];
-            patches.weight[k] =
-                Floats(problem.space_weights[k]) * gather(problem.gray_weights, truncate(greater(step, zero - step)));
+            const Floats step = gray[kEvery * k] - gray[kPatchTexels / 2];
+            patches.weight[k] = Floats(problem.space_weights[kEvery * k]) *
+                                gather(problem.gray_weights, truncate(greater(step, zero - step)));
             total = total + patches.weight[k];
         }
         for (k = 0; k < kTexels; ++k) {
             patches.weight[k] = patches.weight[k] / total;
-            mean = mean + patches.weight[k] * gray[k];
+            mean = mean + patches.weight[k] * gray[kEvery * k];
         }
         for (k = 0; k < kTexels; ++k) {
-            const Floats deviation = gray[k] - mean;
+            const Floats deviation = gray[kEvery * k] - mean;
             patches.product[k] = patches.weight[k] * deviation;
             spread = spread + patches.product[k] * deviation;
         }
@@ -110,7 +116,8 @@ constexpr float kMaxStretch = 16.0f;  // pixels of a source for one of the refer
 
 // The homography of each plane, linearised at its pixel: over a patch the error is a hundredth of a pixel. Planes that
 // cannot be compared are mapped to the first pixel.
-inline Warp warp(const Problem& problem, const Source& source, const Patches& at, const Planes& planes) {
+template <int kEvery>
+inline Warp warp(const Problem& problem, const Source& source, const Patches<kEvery>& at, const Planes& planes) {
     const Floats inverse = Floats(1.0f) / planes.depth;
     const float *m = source.linear, *v = source.shift;
     const auto row = [&](int r) {
@@ -146,29 +153,38 @@ struct Sums {
     Floats values, squares, products;
 };
 
-template <bool kInside>
-inline Sums accumulate(const Source& source, const Patches& patches, const Warp& at) {
+// Add a lattice of texels: every kStep-th row and column from kFirst on.
+template <bool kInside, int kFirst, int kStep, int kEvery>
+inline void accumulate_lattice(const Source& source, const Patches<kEvery>& patches, const Warp& at, Sums& sums) {
     const auto fixed = [](Floats a) { return truncate(a * Floats(65536.0f)); };
-    const Ints two = Ints(kPatchStep), none = Ints(0);
+    const Ints two = Ints(kPatchStep), none = Ints(0), step = Ints(kStep);
     const Ints ax = fixed(at.ax) * two, ay = fixed(at.ay) * two, bx = fixed(at.bx) * two, by = fixed(at.by) * two;
     const Ints right = Ints((source.width - 1) << 16), bottom = Ints((source.height - 1) << 16);
     Ints line_x = fixed(at.x), line_y = fixed(at.y);
-    for (int j = 0; j < kPatchRadius; ++j) line_x = line_x - ax - bx, line_y = line_y - ay - by;
-    Floats values = Floats(0.0f), squares = values, products = values;
-    for (int k = 0; k < kTexels; line_x = line_x + bx, line_y = line_y + by) {
+    for (int j = kFirst; j < kPatchRadius; ++j) line_x = line_x - ax - bx, line_y = line_y - ay - by;
+    for (int j = kFirst; j < kPatchSide; j += kStep, line_x = line_x + step * bx, line_y = line_y + step * by) {
         Ints x = line_x, y = line_y;
-        for (int i = 0; i < kPatchSide; ++i, ++k, x = x + ax, y = y + ay) {
+        for (int i = kFirst; i < kPatchSide; i += kStep, x = x + step * ax, y = y + step * ay) {
             Ints column = x, line = y;
             if (!kInside) column = greater(lesser(x, right), none), line = greater(lesser(y, bottom), none);
             const Ints quad = gather(source.quads, pixel_index(column, line, source.width));
             const Floats value = to_floats(interpolate(quad, column, line));
+            const int k = (kPatchSide * j + i) / kEvery;
             const Floats weighted = patches.weight[k] * value;
-            values = values + weighted;
-            squares = squares + weighted * value;
-            products = products + patches.product[k] * value;
+            sums.values = sums.values + weighted;
+            sums.squares = sums.squares + weighted * value;
+            sums.products = sums.products + patches.product[k] * value;
         }
     }
-    return {values, squares, products};
+}
+
+template <bool kInside, int kEvery>
+inline Sums accumulate(const Source& source, const Patches<kEvery>& patches, const Warp& at) {
+    Sums sums = {Floats(0.0f), Floats(0.0f), Floats(0.0f)};
+    accumulate_lattice<kInside, 0, kEvery>(source, patches, at, sums);
+    // One colour of a chessboard consists of two lattices.
+    if constexpr (kEvery == 2) accumulate_lattice<kInside, 1, kEvery>(source, patches, at, sums);
+    return sums;
 }
 
 // Whether all patches lie inside the source, with a margin for the rounding of coordinates.
@@ -191,7 +207,8 @@ inline Floats nearest_value(const Source& source, const float* map, Floats x, Fl
 }
 
 // Reprojection error in pixels of the reference, through the source's own depth map, clamped to 3; 3 without a depth.
-inline Floats reprojection_error(const Source& source, const Patches& at, Floats x, Floats y) {
+template <int kEvery>
+inline Floats reprojection_error(const Source& source, const Patches<kEvery>& at, Floats x, Floats y) {
     const Floats depth = nearest_value(source, source.depth, x, y);
     const float *m = source.back_linear, *v = source.back_shift;
     const auto row = [&](int r) {
@@ -206,10 +223,12 @@ inline Floats reprojection_error(const Source& source, const Patches& at, Floats
 constexpr float kCostPerPixelError = 0.2f;  // cost per pixel of reprojection error (Xu and Tao 2019, sec. 4.2)
 
 // The cost of each plane in one source.
-inline Floats score(const Problem& problem, const Source& source, const Patches& patches, const Planes& planes) {
+template <int kEvery>
+inline Floats score(const Problem& problem, const Source& source, const Patches<kEvery>& patches,
+                    const Planes& planes) {
     const Warp at = warp(problem, source, patches, planes);
-    const Sums sums =
-        all_inside(source, at) ? accumulate<true>(source, patches, at) : accumulate<false>(source, patches, at);
+    const Sums sums = all_inside(source, at) ? accumulate<true, kEvery>(source, patches, at)
+                                             : accumulate<false, kEvery>(source, patches, at);
     const Floats spread = sums.squares - sums.values * sums.values;
     const Floats least = Floats(problem.min_variance), least_parts = least * Floats(kValueScale * kValueScale);
     const Mask textured = (least_parts < spread) & (least < patches.variance);

@@ -29,7 +29,8 @@ private:
     Ints state_;
 };
 
-// The search at a group of sixteen pixels.
+// The search at a group of sixteen pixels, with every kEvery-th texel of their patches.
+template <int kEvery>
 class Search {
 public:
     Search(const Problem& problem, State& state, int y, int first)
@@ -210,7 +211,7 @@ private:
 
     // Depths at which planes of other pixels intersect the rays of these pixels.
     Floats depth_on_rays(const Planes& planes, const Neighbor& from) const {
-        const Patches& at = group_.patches;
+        const auto& at = group_.patches;
         const Floats x = (at.x + from.dx - Floats(problem_.cx)) / Floats(problem_.fx);
         const Floats y = (at.y + from.dy - Floats(problem_.cy)) / Floats(problem_.fy);
         return planes.depth * (dot(planes, x, y) / dot(planes, at.ray_x, at.ray_y));
@@ -263,7 +264,7 @@ private:
 
     const Problem& problem_;
     State& state_;
-    Group group_;
+    Group<kEvery> group_;
     int sources_;
     Planes plane_;
     Floats cost_, sum_, total_weight_;  // weighted mean and sum of the costs per view, sum of the weights
@@ -271,29 +272,39 @@ private:
 };
 
 // Run one sweep, one colour after the other. Perturbations shrink with the sweep index, which starts at 0.
-inline bool sweep(const Problem& problem, State& state, int sweep_index, Interrupt& interrupt) {
+template <int kEvery>
+inline bool sweep_with(const Problem& problem, State& state, int sweep_index, Interrupt& interrupt) {
     for (int colour = 0; colour < 2; ++colour) {
         pack_costs_by_colour(problem, state, 1 - colour);
 #pragma omp parallel for schedule(dynamic, 4)
         for (int y = 0; y < problem.height; ++y) {
             if (interrupt.requested()) continue;
             for (int first = (y + colour) & 1; first < problem.width; first += 2 * kLanes)
-                Search(problem, state, y, first).improve(sweep_index);
+                Search<kEvery>(problem, state, y, first).improve(sweep_index);
         }
     }
     return !interrupt.stopped();
 }
 
 // Score the initial planes of all pixels.
-inline bool initialize(const Problem& problem, State& state, Interrupt& interrupt) {
+template <int kEvery>
+inline bool initialize_with(const Problem& problem, State& state, Interrupt& interrupt) {
 #pragma omp parallel for schedule(dynamic, 4)
     for (int y = 0; y < problem.height; ++y) {
         if (interrupt.requested()) continue;
         for (int colour = 0; colour < 2; ++colour)
             for (int first = colour; first < problem.width; first += 2 * kLanes)
-                Search(problem, state, y, first).initialize();
+                Search<kEvery>(problem, state, y, first).initialize();
     }
     return !interrupt.stopped();
+}
+
+inline bool sweep(const Problem& problem, State& state, int sweep_index, Interrupt& interrupt) {
+    return (problem.half_patches ? sweep_with<2> : sweep_with<1>)(problem, state, sweep_index, interrupt);
+}
+
+inline bool initialize(const Problem& problem, State& state, Interrupt& interrupt) {
+    return (problem.half_patches ? initialize_with<2> : initialize_with<1>)(problem, state, interrupt);
 }
 
 }  // namespace pcbench::mvs::PCB_ISA

@@ -58,11 +58,13 @@ def test_contradicting_source_maps_lower_the_confidence(slanted):
     assert np.median(confidence_loss) == pytest.approx(0.6, abs=0.02)  # the cost is clamped at three pixels of 0.2 each
 
 
-def correlation(scene: PlaneScene, x, y, normal, source):
+def correlation(scene: PlaneScene, x, y, normal, source, half_patches):
     """Compute the weighted correlation of Schonberger et al. (2016) in float64 with the exact homography."""
     reference, other = scene.views[0], scene.views[source]
     k = reference.camera.intrinsics
     offsets = np.stack(np.meshgrid(*[np.arange(-4, 5, 2)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
+    if half_patches:
+        offsets = offsets[offsets.sum(axis=1) % 4 == 0]
     patch = np.array([x, y]) + offsets
     ray = np.array([(x + 0.5 - k.cx) / k.fx, (y + 0.5 - k.cy) / k.fy, 1])
     rays = np.column_stack([(patch + 0.5 - [k.cx, k.cy]) / [k.fx, k.fy], np.ones(len(patch))])
@@ -85,14 +87,15 @@ def correlation(scene: PlaneScene, x, y, normal, source):
     return weights @ (a * b) / np.sqrt((weights @ a**2) * (weights @ b**2))
 
 
-def test_costs_match_the_correlation_in_float64():
+@pytest.mark.parametrize("half_patches", [False, True])
+def test_costs_match_the_correlation_in_float64(half_patches):
     normal = np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0])
     scene = plane_scene(normal=(0.35, -0.2, -1.0))
     height, width = scene.depths[0].shape
     planes = np.empty((height, width, 4), np.float32)
     planes[..., 0], planes[..., 1:] = 1.01 * scene.depths[0], normal
     state = _SearchState.initial(planes.copy(), len(scene.views) - 1)
-    state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0)
+    state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0, half_patches=half_patches)
     offset_scene = scene._replace(depths=[1.01 * scene.depths[0]])
     rng = np.random.default_rng(1)
     for source in range(1, len(scene.views)):
@@ -107,7 +110,7 @@ def test_costs_match_the_correlation_in_float64():
         # Patches completely inside the source, and patches that extend beyond its border.
         for selection in (inside_reference & (margin > 8), inside_reference & (margin > 0) & (margin < 3)):
             for pixel in rng.choice(np.flatnonzero(selection), 10, replace=False):
-                expected = 1 - correlation(offset_scene, columns[pixel], rows[pixel], normal, source)
+                expected = 1 - correlation(offset_scene, columns[pixel], rows[pixel], normal, source, half_patches)
                 assert state.view_costs[rows[pixel], columns[pixel], source - 1] == pytest.approx(expected, abs=3e-3)
 
 
