@@ -1,8 +1,8 @@
 """Accuracy and completeness of dense clouds of cities with exact truth: python benchmarks/mvs_city.py
 
 Each row is a city: the shares of correct points and of covered surface at 1, 2 and 5 pixel footprints, and the errors
-of depth and normal maps. `moved` is a city with a moving object in each of its photographs. `--missed` analyses the
-missing textured surface of the first city.
+of depth and normal maps. `moved` is a city with a moving object in each of its photographs. `--missed` lists the
+surface of the first city that images observe and the cloud misses, by cause.
 
 `--seeds 101-110` prints a row per seed, and for each case the median and the range of the seeds. To compare two
 versions, run this file with each of them first in PYTHONPATH, with the same seeds and without `--folder`.
@@ -23,7 +23,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from dense_cases import MIN_WRONG_FOOTPRINTS, City, CloudScore, read_city, recall_by_view, score_cloud, score_maps
+from dense_cases import MIN_WRONG_FOOTPRINTS, City, CloudScore, read_city, recall_by_cause, score_cloud, score_maps
 
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
@@ -231,10 +231,12 @@ def print_cities(root: Path, names: Sequence[str], options: argparse.Namespace) 
 
 
 def print_missed_surface(city: City, work: Path) -> None:
-    """Print the properties of the missing textured surface."""
-    print(f"\n{'textured surface':24}{'share':>8}{'recall (2 px)':>15}{'share of missed':>17}")
-    for name, view_recall in recall_by_view(city, read_cloud(work / "cloud.ply").points).items():
-        print(f"{name:24}{view_recall.share:8.1%}{view_recall.recall:15.3f}{view_recall.missed:17.1%}")
+    """Print how much of the observed surface is missing, and why."""
+    parts = recall_by_cause(city, read_cloud(work / "cloud.ply").points)
+    print(f"\n{'observed surface':26}{'share':>8}{'within 2':>10}{'of the missed':>15}")
+    for name, part in parts.items():
+        print(f"{name:26}{part.share:8.1%}{part.recall:10.3f}{part.missed:15.1%}")
+    print(f"{'all':26}{1:8.1%}{sum(part.share * part.recall for part in parts.values() if part.share):10.3f}")
 
 
 def main() -> None:

@@ -3,7 +3,7 @@ python benchmarks/mvs_confidence.py --seeds 201-203
 
 Each row is a city: its scores with all points and with those that `mvs` keeps by default. Precision, recall and F-score
 are at two pixel footprints, over the surface that at least three images show. The second table compares confidences
-with the shares of points within two footprints. `--fit` prints the weights of the cues that fit these cities best.
+with the shares of points within two footprints. `--fit` prints the weights that fit these cities best.
 """
 
 import argparse
@@ -22,12 +22,21 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from dense_cases import City, CloudScore, read_city, score_cloud
 
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from reconstructors.mvs.blocks import fused_files
 from reconstructors.mvs.bundled import GEOMETRIC_FOLDER
-from reconstructors.mvs.confidence import CONFIDENCE, depth_cues, keep_precise
+from reconstructors.mvs.confidence import (
+    CONFIDENCE,
+    CUE_WEIGHTS,
+    POINT_WEIGHTS,
+    SCORE_LIMITS,
+    depth_cues,
+    keep_precise,
+)
 from reconstructors.mvs.filter import Criteria, filter_map
+from reconstructors.mvs.flatten import NEIGHBORS
 from reconstructors.mvs.fusion import VIEWS, read_visibility
 from reconstructors.mvs.halos import remove_halos
 from reconstructors.mvs.maps import read_map
@@ -37,6 +46,7 @@ from reconstructors.mvs.views import read_view
 
 CASES = {
     "city": "--rig oblique --images 14",
+    "repeated": "--rig oblique --images 14 --repeated",
     "hard": "--rig oblique --images 14 --hard",
     "wide": "--rig orbit --images 10",
     "texture 0": "--rig oblique --images 14 --texture 0",
@@ -44,7 +54,7 @@ CASES = {
 }
 BINS = np.append(np.arange(0, 1, 0.1), 1.0001)
 MIN_BIN_SHARE = 0.005  # of the points of a case; smaller bins are not shown
-FIT_POINTS = 30_000  # of each city
+FIT_POINTS = 4_000  # of each city
 
 
 class Result(NamedTuple):
@@ -120,29 +130,33 @@ def make_reliability(name: str, results: list[Result]) -> str:
 
 
 class Sample(NamedTuple):
-    """Depths of some points of a city.
+    """Random points of a city, and the depths of these and of the points around them.
 
     Args:
         cues: (D, 5) cues of the depths.
-        point: (D,) which of the points a depth belongs to.
-        is_right: (P,) whether a point is within two footprints of the surface.
+        point: (D,) the number of the point that a depth belongs to.
+        around: (N, 20) numbers of the nearest points of each random point; the first is the point itself.
+        is_right: (N,) whether a random point is within two footprints of the surface.
     """
 
     cues: np.ndarray
     point: np.ndarray
+    around: np.ndarray
     is_right: np.ndarray
 
 
 def draw_sample(folder: Path, result: Result) -> Sample:
-    """Return the depths of random points of a city."""
+    """Draw random points of a city."""
     workspace = folder / "work" / "plugin"
     cameras = {camera.name: camera for camera in read_colmap_cameras(workspace / MAPS)}
     maps = {name: read_map(workspace / GEOMETRIC_FOLDER / name) for name in cameras}
     (fused,) = fused_files(workspace)
     fused_points = read_cloud(fused, on_warning=lambda _: None).points
+    chosen = np.sort(np.random.default_rng(0).permutation(len(fused_points))[:FIT_POINTS])
+    used, around = np.unique(Index(fused_points).query(fused_points[chosen], NEIGHBORS).indices, return_inverse=True)
+    numbers = np.full(len(fused_points), -1)
+    numbers[used] = np.arange(len(used))
     fused_points = fused_points + next(iter(cameras.values())).position.round()
-    chosen = np.zeros(len(fused_points), dtype=bool)
-    chosen[np.random.default_rng(0).permutation(len(chosen))[:FIT_POINTS]] = True
     point, image = read_visibility(fused.with_name(f"{fused.name}.vis"))
     cues, points = [], []
     for k, (name, camera) in enumerate(cameras.items()):
@@ -153,38 +167,50 @@ def draw_sample(folder: Path, result: Result) -> Sample:
         kept, agree = remove_halos(filter_map(camera, maps[name], others, Criteria(), view.valid), view.gray)
         number = np.full(kept.known.shape, -1)
         number[kept.known] = np.arange(np.count_nonzero(kept.known))
-        here = point[(image == k) & chosen[point]]
+        here = point[(image == k) & (numbers[point] >= 0)]
         column, row = np.floor(camera.project(fused_points[here])[0]).astype(int).T
         height, width = number.shape
         depths = number[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
         cues.append(depth_cues(camera, kept, agree, [other for other, _ in others], view.gray)[depths[depths >= 0]])
-        points.append(here[depths >= 0])
-    rows, numbers = np.unique(np.concatenate(points), return_inverse=True)
-    return Sample(np.concatenate(cues), numbers, result.is_right[rows])
+        points.append(numbers[here[depths >= 0]])
+    return Sample(
+        np.concatenate(cues),
+        np.concatenate(points),
+        around.reshape(len(chosen), NEIGHBORS),
+        result.is_right[chosen],
+    )
 
 
 def fit(samples: list[Sample]) -> np.ndarray:
-    """Return the weights of the cues with the largest likelihood; a point has the mean confidence of its depths."""
+    """Return the weights of the cues and of the scores (8,) with the largest likelihood, all cities alike."""
     from scipy.optimize import minimize
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         total, gradient = 0.0, np.zeros_like(weights)
-        for cues, point, is_right in samples:
-            of_depths, count = 1 / (1 + np.exp(-cues @ weights)), np.bincount(point)
-            of_points = np.clip(np.bincount(point, of_depths) / count, 1e-6, 1 - 1e-6)
-            total -= float(np.mean(np.log(np.where(is_right, of_points, 1 - of_points))))
-            slopes = np.where(is_right, -1 / of_points, 1 / (1 - of_points)) / count / len(is_right)
-            gradient += (slopes[point] * of_depths * (1 - of_depths)) @ cues
+        constant, weight, weight_near = weights[5:]
+        for cues, point, around, is_right in samples:
+            of_depths, depths = 1 / (1 + np.exp(-cues @ weights[:5])), np.maximum(np.bincount(point), 1)
+            scores = np.bincount(point, of_depths) / depths
+            own, near = (np.clip(p, *SCORE_LIMITS) for p in (scores[around[:, 0]], scores[around].mean(axis=1)))
+            odds, odds_near = np.log(own / (1 - own)), np.log(near / (1 - near))
+            log_odds = constant + weight * odds + weight_near * odds_near
+            total += float(np.mean(np.logaddexp(0, log_odds) - is_right * log_odds))
+            errors = (1 / (1 + np.exp(-log_odds)) - is_right) / len(is_right)
+            slopes = np.repeat(errors * weight_near / (near * (1 - near)) / NEIGHBORS, NEIGHBORS)
+            of_scores = np.bincount(around.ravel(), slopes, len(scores))
+            of_scores += np.bincount(around[:, 0], errors * weight / (own * (1 - own)), len(scores))
+            gradient[:5] += ((of_scores / depths)[point] * of_depths * (1 - of_depths)) @ cues
+            gradient[5:] += errors.sum(), errors @ odds, errors @ odds_near
         return total, gradient
 
-    start = np.array([0.0, 1.0, -1.0, 0.0, 0.0])
+    start = np.array([*CUE_WEIGHTS, *POINT_WEIGHTS])
     return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B").x)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=parse_seeds, default=[201, 202, 203], help="Seeds, such as 5 or 201-203.")
-    parser.add_argument("--fit", action="store_true", help="Also fit the weights of the cues to these cities.")
+    parser.add_argument("--fit", action="store_true", help="Also fit all weights to these cities.")
     parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     options = parser.parse_args()
     print(setting())

@@ -35,21 +35,31 @@ class City(NamedTuple):
         folder: folder of the scene.
         truth: ground truth as in `pcbench bench`.
         index: index of the true mesh.
-        seen: points (N, 3) evenly spread over the surface that at least three images observe.
-        textured: (N,), True for points in a textured patch in at least three of these images.
-        views: (N,), number of images that observe each point.
-        slant: (N,), angle in degrees between normal and line of sight in the third-best of these images.
+        observed: points (M, 3) evenly spread over the surface that images observe.
+        views: (M,), number of images that observe each point.
+        slant: (M,), angle in degrees between normal and line of sight in the worst of the best three of these images.
+        has_texture: (M,), True for points in a textured patch in at least three images.
         footprint: size of a pixel: median of depth over focal length over the lines of sight, as in `pcbench bench`.
     """
 
     folder: Path
     truth: Truth
     index: MeshIndex
-    seen: np.ndarray
-    textured: np.ndarray
+    observed: np.ndarray
     views: np.ndarray
     slant: np.ndarray
+    has_texture: np.ndarray
     footprint: float
+
+    @property
+    def seen(self) -> np.ndarray:
+        """The points (N, 3) that at least three images observe."""
+        return self.observed[self.views >= MIN_VISIBLE_VIEWS]
+
+    @property
+    def textured(self) -> np.ndarray:
+        """Mask (N,) of these points: True in a textured patch in at least three images."""
+        return self.has_texture[self.views >= MIN_VISIBLE_VIEWS]
 
 
 def deviations(gray: np.ndarray) -> np.ndarray:
@@ -78,16 +88,17 @@ def read_city(folder: Path) -> City:
         textured[visible_rows] += (
             deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > MAX_FLAT_STD
         )
-    is_seen = view_counts >= MIN_VISIBLE_VIEWS
-    slant = np.degrees(np.arccos(np.clip(cosines[0, is_seen], 0, 1)))
+    is_observed = view_counts > 0
+    worst = np.maximum(MIN_VISIBLE_VIEWS - view_counts[is_observed], 0)  # with fewer images, the first rows are empty
+    slant = np.degrees(np.arccos(np.clip(cosines[worst, is_observed.nonzero()[0]], 0, 1)))
     return City(
         folder,
         truth,
         index,
-        samples.points[is_seen],
-        textured[is_seen] >= MIN_VISIBLE_VIEWS,
-        view_counts[is_seen],
+        samples.points[is_observed],
+        view_counts[is_observed],
         slant,
+        textured[is_observed] >= MIN_VISIBLE_VIEWS,
         footprint,
     )
 
@@ -153,7 +164,7 @@ def score_cloud(city: City, points: np.ndarray) -> CloudScore:
 
 
 class Recall(NamedTuple):
-    """Recall of a part of the observed textured surface.
+    """Recall of a part of the surface that images observe.
 
     Args:
         share: its share of that surface.
@@ -166,26 +177,24 @@ class Recall(NamedTuple):
     missed: float
 
 
-def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
-    """Return where a cloud misses textured surface, by the number of images that observe it and by its slant."""
-    is_missed = Index(points).query(city.seen).distances > 2 * city.footprint
-    masks = {
-        "3 images": city.views == 3,
-        "4 or 5": (city.views > 3) & (city.views < 6),
-        "6 or more": city.views > 5,
-        "below 60 deg": city.slant < 60,
-        "60 to 75": (city.slant >= 60) & (city.slant < 75),
-        "above 75": city.slant >= 75,
+def recall_by_cause(city: City, points: np.ndarray) -> dict[str, Recall]:
+    """Return where a cloud misses surface: each point of the surface counts for the first cause that applies."""
+    is_missed = Index(points).query(city.observed).distances > 2 * city.footprint
+    causes = {
+        "one image": city.views == 1,
+        "two images, above 75 deg": (city.views == 2) & (city.slant >= 75),
+        "two images": city.views == 2,
+        "above 75 deg": city.slant >= 75,
+        "60 to 75 deg": city.slant >= 60,
+        "no texture": ~city.has_texture,
+        "three to five images": city.views < 6,
+        "none of these": city.views >= 6,
     }
-    textured_count, missed_count = np.count_nonzero(city.textured), np.count_nonzero(is_missed & city.textured)
-    result = {}
-    for name, mask in masks.items():
-        part_count, part_missed = (
-            np.count_nonzero(mask & city.textured & selection) for selection in (True, is_missed)
-        )
-        result[name] = Recall(
-            part_count / textured_count, 1 - part_missed / max(1, part_count), part_missed / max(1, missed_count)
-        )
+    result, rest = {}, np.ones(len(is_missed), bool)
+    for name, applies in causes.items():
+        part, rest = rest & applies, rest & ~applies
+        found = np.mean(~is_missed[part]) if part.any() else np.nan
+        result[name] = Recall(np.mean(part), found, np.sum(part & is_missed) / max(1, np.sum(is_missed)))
     return result
 
 

@@ -59,7 +59,7 @@ class FilteredImage(NamedTuple):
         photograph: file of the undistorted photograph.
         map: folder of the map.
         counts: .npy file with the number (H, W) of images that agree at each pixel.
-        percents: .npy file with the confidence (H, W) of each depth in percent.
+        percents: .npy file with the score (H, W) of each depth in percent.
         overlap: samples of the points of the map.
         depths: number of depths of the map.
     """

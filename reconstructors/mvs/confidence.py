@@ -1,8 +1,9 @@
 """Confidence of depths and points: the share of such points that lie within two pixel footprints of the surface.
 
-The share is a logistic function of four cues, fitted to points of synthetic cities with exact truth
-(docs/measured/mvs.md). The correlation of the images, the number of images that agree and the differences between their
-depths add next to nothing to these cues.
+A depth has a score, a logistic function of three cues, and a point the mean score of its depths. The confidence of a
+point is a logistic function of its score and of the mean score of its neighbours: errors come in patches. All weights
+are fitted together, to points of synthetic cities with exact truth (docs/measured/mvs.md). Other cues add next to
+nothing to these, among them the correlation of the images and how it falls along the ray.
 
 - Support: depths around a right one lie on its plane; those of repeats and of plain surface scatter.
 - Triangulation angle: a small one turns small errors in the images into large ones of the depth.
@@ -24,6 +25,7 @@ from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.patchmatch import noise_variance, window_variances
 
 CONFIDENCE = "confidence"  # attribute of a cloud
+SCORE = "score"  # attribute of a fused cloud, from which the confidence follows
 # Median triangulation angle from which on points are dropped: confidences are calibrated with 12 to 36 degrees.
 MIN_SCENE_ANGLE_DEG = 10.0
 
@@ -32,8 +34,10 @@ _MIN_COSINE = 0.2  # between normal and line of sight, when the tolerance of the
 _ANGLES_DEG = (5.0, 45.0)  # smaller and larger angles count like these
 _WINDOW_SIDES_PX = (3, 9)  # at the pixel, and the matcher's window
 _MAX_TEXTURE_TO_NOISE = 100.0  # ratio of variances; more texture counts like this
-# Of the cues of `depth_cues` in the log odds: python benchmarks/mvs_confidence.py --seeds 1-3 --fit
-_WEIGHTS = (-2.13, 0.8, -2.19, 0.59, -0.41)
+# python benchmarks/mvs_confidence.py --seeds 1-3 --fit
+CUE_WEIGHTS = (-1.74, 0.14, -1.50, 0.53, -0.41)  # of the cues of `depth_cues` in the log odds of a depth's score
+POINT_WEIGHTS = (2.57, 0.38, 1.67)  # of 1 and of the log odds of both scores in the log odds of a point's confidence
+SCORE_LIMITS = (0.005, 0.995)  # smaller and larger scores count like these
 
 
 def depth_percents(
@@ -43,7 +47,7 @@ def depth_percents(
     sources: Sequence[Camera],
     gray: NDArray[np.uint8],
 ) -> NDArray[np.uint8]:
-    """Return the confidence of each depth of a filtered map in whole percent, (H, W) from 0 to 100; 0 without a depth.
+    """Return the score of each depth of a filtered map in whole percent, (H, W) from 0 to 100; 0 without a depth.
 
     Whole percents do not depend on how a processor rounds logarithms.
 
@@ -55,7 +59,7 @@ def depth_percents(
         gray: the photograph (H, W), undistorted and of the map's size.
     """
     cues = depth_cues(camera, depth_map, agreement, sources, gray)
-    log_odds = sum(weight * cue for weight, cue in zip(_WEIGHTS, cues.T, strict=True))
+    log_odds = sum(weight * cue for weight, cue in zip(CUE_WEIGHTS, cues.T, strict=True))
     percents = np.zeros(depth_map.depth.shape, dtype=np.uint8)
     percents[depth_map.known] = np.round(100 / (1 + np.exp(-log_odds)))
     return percents
@@ -85,6 +89,18 @@ def depth_cues(
         for side in _WINDOW_SIDES_PX
     )
     return np.column_stack([np.ones_like(angle), angle, angle * np.log(missing), texture, around])
+
+
+def point_confidences(scores: FloatArray, around: FloatArray) -> NDArray[np.float32]:
+    """Return the confidences (N,) of points in steps of a thousandth.
+
+    Args:
+        scores: (N,) mean scores of each point's depths, from 0 to 1.
+        around: (N,) mean scores of the points around each, itself included.
+    """
+    own, near = (np.log(p / (1 - p)) for p in (np.clip(score, *SCORE_LIMITS) for score in (scores, around)))
+    constant, weight, weight_near = POINT_WEIGHTS
+    return np.round(1 / (1 + np.exp(-(constant + weight * own + weight_near * near))), 3).astype(np.float32)
 
 
 def keep_precise(cloud: Cloud, precision: float) -> Cloud:

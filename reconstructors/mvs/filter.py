@@ -35,7 +35,7 @@ class Criteria:
         normal_deg: maximum angle between the normals. It is wide because normals are least certain on slanted surface.
     """
 
-    confidence: float = 0.3
+    confidence: float = 0.1
     views: int = 2
     pixels: float = 2.0
     depth: float = 0.02

@@ -1,4 +1,4 @@
-"""Smoothing of a fused cloud where its surface is flat.
+"""Smoothing of a fused cloud where its surface is flat, and confidences of its points by those around them.
 
 Fusion merges only depths that agree closely. The errors that remain at neighboring points come from several maps and
 are largely independent, so that a plane through the neighbors is more accurate than a single point.
@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, freeze
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
+from reconstructors.mvs.confidence import CONFIDENCE, SCORE, point_confidences
 
-_NEIGHBORS = 20  # points of a plane, the point itself included; their radius is about 2.5 times the point spacing
+NEIGHBORS = 20  # points of a plane, the point itself included; their radius is about 2.5 times the point spacing
 _MAX_ANGLE_DEG = 30.0  # between the normals of a plane and of its points
 _MIN_PARALLEL_SHARE = 0.9  # share of the neighbors with a parallel normal on flat surface; edges have fewer
 _MAX_SHIFT = 1 / 3  # of the radius of the neighbors, somewhat less than the point spacing, so that steps remain
@@ -30,20 +31,29 @@ def flatten(cloud: Cloud, around: Sequence[Cloud] = ()) -> Cloud:
     the plane and takes its normal. Points at edges, on thin walls and on steps higher than the point spacing stay where
     they are.
 
+    The attribute `score`, if there is one, becomes the attribute `confidence`, which also depends on the mean score of
+    these 20 points.
+
     Args:
         cloud: cloud with normals.
-        around: other clouds with normals, whose points are neighbors too, and do not move.
+        around: other clouds with normals, whose points are neighbors too. They do not move, and their scores do not
+            count.
     """
     assert cloud.normals is not None
     points, normals = cloud.points.copy(), cloud.normals.copy()
     all_points = np.concatenate([points, *(other.points for other in around)]) if around else cloud.points
     all_normals = np.concatenate([normals, *(_normals(other) for other in around)]) if around else cloud.normals
-    if len(all_points) < _NEIGHBORS:
-        return cloud
+    scores = cloud.attributes.get(SCORE, np.zeros(len(cloud))).astype(np.float64)
+    mean_scores = np.full(len(cloud), scores.mean())
+    if len(all_points) < NEIGHBORS:
+        return _with_confidence(cloud, mean_scores)
     index = Index(all_points)
     for start in range(0, len(cloud), _BLOCK_POINTS):
         rows = np.arange(start, min(start + _BLOCK_POINTS, len(cloud)))
-        neighbors = index.query(cloud.points[rows], _NEIGHBORS)
+        neighbors = index.query(cloud.points[rows], NEIGHBORS)
+        in_cloud = neighbors.indices < len(cloud)  # as is the point itself
+        neighbor_scores = scores[np.where(in_cloud, neighbors.indices, 0)]
+        mean_scores[rows] = np.average(neighbor_scores, axis=1, weights=in_cloud)
         neighbor_normals = all_normals[neighbors.indices]
         planes = neighbor_normals.sum(axis=1)
         planes /= np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), np.finfo(float).tiny)
@@ -55,7 +65,16 @@ def flatten(cloud: Cloud, around: Sequence[Cloud] = ()) -> Cloud:
         is_flat &= np.abs(shift) <= _MAX_SHIFT * neighbors.distances[:, -1]
         points[rows[is_flat]] += shift[is_flat, None] * planes[is_flat]
         normals[rows[is_flat]] = planes[is_flat]
-    return replace(cloud, points=points, normals=normals)
+    return _with_confidence(replace(cloud, points=points, normals=normals), mean_scores)
+
+
+def _with_confidence(cloud: Cloud, mean_scores: FloatArray) -> Cloud:
+    """Replace the scores of a cloud, if it has some, by confidences, with the mean scores (N,) around its points."""
+    attributes = dict(cloud.attributes)
+    if SCORE in attributes:
+        scores = attributes.pop(SCORE).astype(np.float64)
+        attributes[CONFIDENCE] = freeze(point_confidences(scores, mean_scores))
+    return replace(cloud, attributes=attributes)
 
 
 def _normals(cloud: Cloud) -> FloatArray:

@@ -24,7 +24,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import read_cloud
 from pcbench.io.meshes import read_mesh
 from pcbench.io.ply import write_ply_mesh
-from reconstructors.mvs.confidence import CONFIDENCE
+from reconstructors.mvs.confidence import SCORE
 from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import DEPTH, NORMAL, DepthMap
 from reconstructors.sfm.model import check_written, truncated_output_error
@@ -196,16 +196,16 @@ def read_fused(
     percents: Mapping[str, Path],
     min_views: int,
 ) -> Cloud:
-    """Read a fused cloud with points in the workspace's frame, with normals, colours, `views` and `confidence`.
+    """Read a fused cloud with points in the workspace's frame, with normals, colours, `views` and `score`.
 
     `views` is the number of images that agree on a point: the largest count of the filter at the point's pixels.
-    `confidence` is the mean at these pixels, from 0 to 1.
+    `score` is the mean at these pixels, from 0 to 1.
 
     Args:
         path: the fused .ply file.
         cameras: pinholes by image name, in the order of the workspace.
         counts: .npy files by image name with the number (H, W) of images that agree at each pixel.
-        percents: .npy files by image name with the confidence (H, W) of each depth in percent; 0 without a depth.
+        percents: .npy files by image name with the score (H, W) of each depth in percent; 0 without a depth.
         min_views: minimum number of images that agree on a point, by the filter's criteria.
 
     """
@@ -222,8 +222,8 @@ def read_fused(
         views[here] = np.maximum(views[here], count[row, column])
         percent_sums[here] += percent[row, column]
         depths[here] += count[row, column] > 0
-    confidence = (percent_sums / (100 * np.maximum(depths, 1))).astype(np.float32)
-    return replace(cloud, attributes={VIEWS: views, CONFIDENCE: confidence})
+    scores = (percent_sums / (100 * np.maximum(depths, 1))).astype(np.float32)
+    return replace(cloud, attributes={VIEWS: views, SCORE: scores})
 
 
 def count_fused(path: Path) -> int:

@@ -49,7 +49,7 @@ MESH = "mesh.ply"  # in the workspace
 MIN_MEMORY_GB = 0.01
 
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
-PERCENTS = "percents.npy"  # beside it: the confidence of each depth in percent, (H, W)
+PERCENTS = "percents.npy"  # beside it: the score of each depth in percent, (H, W)
 _OVERLAP_FILE = "links.npz"
 _SFM = "sfm"  # in the workspace: the files of `sfm`
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
@@ -102,7 +102,7 @@ class DenseMvs:
     sources: int | None = None
     backend: Backend = "auto"
     precision: float = 0.92
-    correlation: float = 0.3
+    correlation: float = 0.1
     views: int = 2
     memory: float = 4.0
     mesh: bool = False

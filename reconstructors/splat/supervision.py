@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 WEIGHT = 3.0
-CRITERIA = Criteria(views=3)  # depths on which two images agree start the training but do not supervise it
+# Depths that correlate less, or on which two images agree, start the training but do not supervise it.
+CRITERIA = Criteria(confidence=0.3, views=3)
 
 
 class DepthGradients(NamedTuple):

@@ -6,7 +6,7 @@ from exact_maps import plane_map
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
-from reconstructors.mvs.confidence import CONFIDENCE, depth_percents, keep_precise
+from reconstructors.mvs.confidence import CONFIDENCE, depth_percents, keep_precise, point_confidences
 from reconstructors.mvs.maps import DepthMap
 
 K = Intrinsics(80, 60, 75.0, 75.0, 40.0, 30.0)
@@ -21,7 +21,7 @@ def camera_at(angle_deg):
 
 
 def percents(depth_map, angle_deg=20.0, gray=None):
-    """Return the confidence of a map whose depths one source confirms, at a known angle at the image's centre."""
+    """Return the score of a map whose depths one source confirms, at a known angle at the image's centre."""
     shape = depth_map.depth.shape
     if gray is None:
         gray = np.random.default_rng(SEED).integers(0, 256, shape, dtype=np.uint8)
@@ -43,8 +43,8 @@ def test_depths_on_a_plane_support_each_other(normal):
     assert confidence[INNER].min() >= 99
 
 
-def test_scattered_depths_have_the_share_of_their_cues():
-    """Without any support and texture the log odds are -2.13 + (0.8 - 2.19 log(25 / 24)) log(sin 20 / sin 1)."""
+def test_scattered_depths_have_the_score_of_their_cues():
+    """Without any support and texture the log odds are -1.74 + (0.14 - 1.5 log(25 / 24)) log(sin 20 / sin 1)."""
     depth_map = plane()
     # In blocks of four pixels no neighbour has the depth of a pixel; a footprint is 1 / 75 of the depth.
     row, column = np.indices(depth_map.depth.shape) // 4 % 4
@@ -53,7 +53,7 @@ def test_scattered_depths_have_the_share_of_their_cues():
     # These pixels have the depth of the plane, and their angle is 20 degrees within a tenth.
     exact = confidence[24:28, 40:44]
     assert ((column[24:28, 40:44] == 2) & (row[24:28, 40:44] == 2)).all()
-    np.testing.assert_allclose(exact, 50, atol=1)
+    np.testing.assert_allclose(exact, 18, atol=1)
 
 
 def test_confidence_grows_with_support_angle_and_texture_at_the_pixel():
@@ -86,6 +86,14 @@ def test_pixels_without_a_depth_have_no_confidence():
     confidence = percents(depth_map.where(~hole), 5.0, np.full((60, 80), 100, np.uint8))
     assert not confidence[hole].any() and confidence[~hole].all()
     assert confidence[30, 29] < confidence[30, 15]  # half of its neighbours are missing
+
+
+def test_confidences_of_points_are_a_function_of_both_scores():
+    """The log odds are 2.57 + 0.38 log(0.2 / 0.8) + 1.67 log(0.4 / 0.6)."""
+    scores, around = np.array([0.2, 0.9, 0.2, 0.0, 1.0]), np.array([0.4, 0.4, 0.9, 0.0, 1.0])
+    confidence = point_confidences(scores, around)
+    assert confidence[0] == pytest.approx(1 / (1 + np.exp(-1.366)), abs=1e-3)
+    assert confidence[3] < 0.001 < confidence[0] < confidence[1] < confidence[2] < confidence[4] <= 1
 
 
 def cloud_of(confidences):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dense_cases import MAX_FLAT_STD, WINDOW, City, deviations, read_city, recall_by_view, score_cloud, score_maps
+from dense_cases import MAX_FLAT_STD, WINDOW, City, deviations, read_city, recall_by_cause, score_cloud, score_maps
 from exact_maps import mesh_map
 from optional import import_or_skip
 from PIL import Image
@@ -19,7 +19,7 @@ from reconstructors.mvs.maps import DepthMap, write_map
 GROUND = MeshIndex(Mesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]]))
 SURFACE_POINTS = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
 VIEW_COUNTS = np.where(SURFACE_POINTS[:, 1] < 9, 9, 3)
-CITY = City(None, None, GROUND, SURFACE_POINTS, SURFACE_POINTS[:, 0] < 5, VIEW_COUNTS, 8 * SURFACE_POINTS[:, 1], 0.101)
+CITY = City(None, None, GROUND, SURFACE_POINTS, VIEW_COUNTS, 8 * SURFACE_POINTS[:, 1], SURFACE_POINTS[:, 0] < 5, 0.101)
 
 
 def test_noise_is_untextured_and_squares_are_textured():
@@ -56,13 +56,18 @@ def test_score_cloud():
 
 
 def test_missed_surface_is_classified():
-    recall = recall_by_view(CITY, SURFACE_POINTS[SURFACE_POINTS[:, 1] < 8])
-    # At two footprints 82 of 100 rows are found: 82 of the 90 that nine images observe, none of the 10 of three.
-    np.testing.assert_allclose(recall["3 images"], [0.1, 0, 10 / 18])
-    np.testing.assert_allclose(recall["6 or more"], [0.9, 82 / 90, 8 / 18])
-    np.testing.assert_allclose(recall["below 60 deg"], [0.75, 1, 0])
-    np.testing.assert_allclose(recall["60 to 75"], [0.19, 7 / 19, 12 / 18])
-    assert recall["4 or 5"].share == 0
+    y = SURFACE_POINTS[:, 1]
+    city = CITY._replace(views=np.where(y < 9, np.where(y < 6, 9, 4), np.where(y < 9.5, 2, 1)))
+    recall = recall_by_cause(city, SURFACE_POINTS[y < 8])
+    # At two footprints 82 of 100 rows are found; the angle is 8 degrees per unit, and the first half has texture.
+    np.testing.assert_allclose(recall["one image"], [0.05, 0, 5 / 18])
+    np.testing.assert_allclose(recall["two images, above 75 deg"], [0.01, 0, 1 / 18])
+    np.testing.assert_allclose(recall["two images"], [0.04, 0, 4 / 18])
+    np.testing.assert_allclose(recall["60 to 75 deg"], [0.15, 7 / 15, 8 / 18])
+    np.testing.assert_allclose(recall["no texture"], [0.375, 1, 0])
+    np.testing.assert_allclose(recall["three to five images"], [0.075, 1, 0])
+    np.testing.assert_allclose(recall["none of these"], [0.3, 1, 0])
+    assert recall["above 75 deg"].share == 0
 
 
 def test_score_maps(tmp_path):

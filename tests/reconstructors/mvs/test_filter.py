@@ -136,11 +136,11 @@ def test_low_confidence_and_masked_pixels_are_removed_and_confirm_nothing():
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
     known = filter_first(views, maps)[0].known
     low_confidence = maps[0].confidence.copy()
-    low_confidence[:40] = 0.2
+    low_confidence[:40] = 0.05
     filtered_map, _ = filter_first(views, [DepthMap(maps[0].depth, maps[0].normal, low_confidence), *maps[1:]])
     assert not filtered_map.known[:40].any()
     np.testing.assert_array_equal(filtered_map.known[40:], known[40:])
-    unconfident_map = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.2))
+    unconfident_map = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.05))
     assert not filter_first(views, [*maps[:2], unconfident_map])[0].known.any()
     valid = np.ones((120, 160), bool)
     valid[:, 100:] = False

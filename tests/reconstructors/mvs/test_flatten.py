@@ -1,10 +1,13 @@
 """Smoothing of clouds with known errors: flat surface improves, edges and thin structures stay."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pcbench.geometry.cloud import Cloud
-from reconstructors.mvs.flatten import flatten
+from reconstructors.mvs.confidence import CONFIDENCE, SCORE, point_confidences
+from reconstructors.mvs.flatten import NEIGHBORS, flatten
 
 SPACING = 0.1
 NOISE = 0.01
@@ -25,7 +28,7 @@ def make_cloud(points, normals, rng, noise=NOISE):
         points + noise * rng.normal(size=(len(points), 1)) * normals,
         noisy_normals,
         np.zeros(points.shape, np.uint8),
-        {"views": np.arange(len(points))},
+        {"views": np.arange(len(points)), SCORE: np.full(len(points), 0.5, np.float32)},
     )
 
 
@@ -87,10 +90,33 @@ def test_narrow_ledges_keep_their_height(height):
     assert np.median(error[~on_bar]) < 0.5 * NOISE
 
 
-def test_small_clouds_are_returned_as_they_are():
+def test_points_of_small_clouds_stay():
     rng = np.random.default_rng(4)
     cloud = make_cloud(make_grid(rng, side=4), [0, 0, 1], rng)
-    assert flatten(cloud) is cloud
+    flat = flatten(cloud)
+    np.testing.assert_array_equal(flat.points, cloud.points)
+    np.testing.assert_array_equal(flat.normals, cloud.normals)
+    np.testing.assert_array_equal(flat.attributes[CONFIDENCE], point_confidences(np.array([0.5]), np.array([0.5]))[0])
+
+
+def test_confidences_follow_from_the_scores_of_the_nearest_points():
+    """Two grids that are far apart: the points of one are likely right, but for one of them, the others are not."""
+    rng = np.random.default_rng(6)
+    grid = make_grid(rng, side=10)
+    cloud = make_cloud(np.concatenate([grid, grid + [100.0, 0, 0]]), [0, 0, 1], rng)
+    scores = np.repeat([0.9, 0.2], len(grid)).astype(np.float32)
+    scores[44] = 0.1
+    scored = replace(cloud, attributes={SCORE: scores})
+    confidence = flatten(scored).attributes[CONFIDENCE]
+    near = (0.1 + (NEIGHBORS - 1) * 0.9) / NEIGHBORS
+    assert confidence[44] == point_confidences(np.array([0.1]), np.array([near]))[0]
+    assert confidence[0] == point_confidences(np.array([0.9]), np.array([0.9]))[0]
+    assert confidence[44] < confidence[0]
+    assert (confidence[len(grid) :] == confidence[-1]).all() and confidence[-1] < confidence[44]
+    # Points of other clouds have no scores, so that only the points of the cloud itself count.
+    left, right = np.split(np.arange(len(scores)), 2)
+    part = flatten(scored.select(left), [scored.select(right)])
+    np.testing.assert_array_equal(part.attributes[CONFIDENCE], confidence[left])
 
 
 def _dot(a, b):
