@@ -227,28 +227,32 @@ def _places(
     reference: Surface, candidate: Surface, closest: ClosestPoints | None, whole: SampleSearch, finer: float
 ) -> Places | None:
     """Return the places where a small part may have changed."""
-    screens = []
     changed = [
         sample.points[np.concatenate([part[which] for part, _ in whole.described])]
         for which, sample in enumerate(whole.samples)
         if whole.described
     ]
-    to_candidate, to_reference = (None, None) if closest is None else (closest.to_candidate, closest.to_reference)
-    for surface, other, known_matches, sign in (
-        (reference, candidate, to_candidate, 1.0),
-        (candidate, reference, to_reference, -1.0),
-    ):
-        step = -(-len(surface) // MAX_SCREENED)
-        points = surface.index.every(step)
-        every = np.arange(0, len(surface), step)
-        matches = other.index.query(points) if known_matches is None else known_matches.at(every)
-        rows = surface.index.query(points).indices if sign > 0 else matches.indices
-        vectors = sign * (other.index.points[matches.indices] - points)
-        offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
-        screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
-    side = whole.samples[0].side
+    screens = (
+        _screened(reference, candidate, reference, None if closest is None else closest.to_candidate, finer),
+        _screened(candidate, reference, reference, None if closest is None else closest.to_reference, finer),
+    )
     points_of_changes = np.concatenate(changed) if changed else np.zeros((0, 3))
-    return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
+    return find_places(screens, whole.samples[0].side, finer, points_of_changes, reference.corner)
+
+
+def _screened(surface: Surface, other: Surface, reference: Surface, closest: Matches | None, finer: float) -> Screened:
+    """Return some points of a cloud beside the other one, with their offsets along the reference's normals."""
+    step = -(-len(surface) // MAX_SCREENED)
+    points = surface.index.every(step)
+    matches = other.index.query(points) if closest is None else closest.at(np.arange(0, len(surface), step))
+    is_reference = surface is reference
+    rows = surface.index.query(points).indices if is_reference else matches.indices
+    vectors = other.index.points[matches.indices]
+    vectors -= points
+    if not is_reference:
+        np.negative(vectors, out=vectors)
+    offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
+    return Screened(points, matches.distances, offsets.signed, offsets.is_sheet, len(surface) / len(points))
 
 
 def _noise(reference: Surface, candidate: Surface) -> float:
