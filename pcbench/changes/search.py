@@ -118,12 +118,10 @@ class ClosestPoints(NamedTuple):
     Attributes:
         to_candidate: of each point of the reference in the candidate.
         to_reference: of each point of the candidate in the reference.
-        nearest_other: (N,) rows of the nearest other point of each point of the reference.
     """
 
     to_candidate: Matches
     to_reference: Matches
-    nearest_other: IntArray
 
 
 def find_changes(reference: Surface, candidate: Surface, closest: ClosestPoints | None = None) -> SampledChanges:
@@ -268,12 +266,10 @@ def _offsets(
     """Return the signed distances of both samples from the other cloud, along the reference's normals."""
     ours, theirs = samples
     if closest is None:
-        nearest_other = reference.index.query(ours.points, 2).indices[:, 1]
         back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
     else:
-        nearest_other = closest.nearest_other[ours.rows]
         back, forth = closest.to_candidate.at(ours.rows), closest.to_reference.at(theirs.rows)
-    own = _own_offsets(reference, ours, nearest_other)
+    own = _own_offsets(reference, ours)
     vectors = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
     self_offsets = own[ours.index.query_index(theirs.index).indices]
     return [
@@ -312,7 +308,8 @@ def _oriented(normals: FloatArray) -> FloatArray:
     return np.where(signs == 0, 1.0, signs) * normals
 
 
-def _own_offsets(reference: Surface, sample: Sample, nearest: IntArray) -> FloatArray:
+def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
     """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
+    nearest = reference.index.query(sample.points, 2).indices[:, 1]  # of copies the point itself, or another copy
     signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], _oriented(reference.normals(nearest)))
     return np.abs(sample.smooth(signed))

@@ -118,9 +118,7 @@ def measure_directions(
 
 def find_changes(reference: Reference, aligned: AlignedCandidate, matched: Matched) -> Changes:
     """Find the changes between the complete clouds, in the reference's local coordinates."""
-    closest = None
-    if reference.region is None and reference.nearest_other is not None:
-        closest = ClosestPoints(matched.back, matched.forth, reference.nearest_other)
+    closest = ClosestPoints(matched.back, matched.forth) if reference.region is None else None
     changes = separate_changes(*_sides(reference, aligned), closest)
     return changes.of_points(reference.points, aligned.index.points)
 
