@@ -39,8 +39,10 @@ struct OccupiedCells {
     std::vector<int64_t> first, counts;  // first point and number of points of each cell
 };
 
-// Writes the cell of each point. Cells are numbered in the order of their first points.
-inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
+// Groups points, or those at `count` rows unless `rows` is null, and writes the cell of each unless `labels` is null.
+// Cells are numbered in the order of their first points.
+inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, const int64_t* rows,
+                                   int64_t* labels) {
     struct Slot {
         Cell cell;
         uint32_t label;
@@ -51,6 +53,7 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
     unsigned bits = 10;
     std::vector<Slot> table(size_t{1} << bits, kEmpty);
     OccupiedCells cells;
+    const auto row = [&](size_t i) { return rows ? rows[i] : static_cast<int64_t>(i); };
     const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
     const auto find = [&](const Cell& cell) -> Slot& {
         size_t at = slot_of(cell);
@@ -58,9 +61,9 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
         return table[at];
     };
     const auto grow = [&] {
-        std::vector<Slot> old(size_t{4} << bits, kEmpty);
+        std::vector<Slot> old(size_t{2} << bits, kEmpty);
         old.swap(table);
-        bits += 2;
+        ++bits;
         for (const Slot& slot : old)
             if (slot.label != kNone) find(slot.cell) = slot;
     };
@@ -69,17 +72,17 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
         while (2 * (cells.first.size() + size) > table.size()) grow();
         Cell batch_cells[kBatch];
         for (size_t i = 0; i < size; ++i) {
-            batch_cells[i] = grid.cell(points + 3 * (start + i));
+            batch_cells[i] = grid.cell(points + 3 * row(start + i));
             __builtin_prefetch(&table[slot_of(batch_cells[i])], 1);
         }
         for (size_t i = 0; i < size; ++i) {
             Slot& slot = find(batch_cells[i]);
             if (slot.label == kNone) {
                 slot = {batch_cells[i], static_cast<uint32_t>(cells.first.size())};
-                cells.first.push_back(static_cast<int64_t>(start + i));
+                cells.first.push_back(row(start + i));
                 cells.counts.push_back(0);
             }
-            labels[start + i] = slot.label;
+            if (labels) labels[start + i] = slot.label;
             ++cells.counts[slot.label];
         }
     }
