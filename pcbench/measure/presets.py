@@ -270,7 +270,7 @@ def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray,
     distances = metrics.plane_distances(
         queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices
     )
-    squares: FloatArray = np.square(distances)
+    squares: FloatArray = np.square(distances, out=distances)
     return squares if rows is None else _row_means(squares[:, None], rows, len(queries))[:, 0]
 
 
