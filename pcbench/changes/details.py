@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes.offsets import Offsets, shortest_width
+from pcbench.changes.offsets import shortest_width
 from pcbench.changes.samples import MAX_SAMPLE, SIDE_VOXELS
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
@@ -26,6 +26,7 @@ _FAR = 2.0  # distance from the other cloud's points, in length scales of the fi
 _MIN_FAR = 6  # far points of a suspicious cell
 _MIN_SHEET, _MIN_T = 6, 6.0  # points on a smooth surface, and their mean offset over its standard error
 _MIN_ERROR = 1e-3  # of an offset, in length scales of the finer sample: exact surfaces have none
+_BLOCK_CELLS = 8_192  # whose surroundings are searched at a time, to limit memory
 _REGION_CELLS = 25  # around a cell, whose median offset is expected in it
 _RING = 2  # cells around a suspicious one that are searched too: its surroundings decide what is normal
 _MAX_PLACES = 2_000
@@ -89,13 +90,15 @@ class Screened:
     Attributes:
         points: (N, 3) points.
         distances: (N,) distances to the other cloud's closest points.
-        offsets: signed distances from the other cloud's surface.
+        signed: (N,) signed distances, candidate minus reference, along the reference's normals.
+        is_sheet: (N,) whether the reference is a smooth surface there and the other cloud faces the point.
         weight: points of the cloud that each stands for.
     """
 
     points: FloatArray
     distances: FloatArray
-    offsets: Offsets
+    signed: FloatArray
+    is_sheet: NDArray[np.bool_]
     weight: float
 
 
@@ -111,28 +114,36 @@ def find_places(
         changed: (K, 3) sampled points of parts that the search of the whole scene found.
         corner: (3,) corner of the cells.
     """
-    points = np.concatenate([screen.points for screen in screens])
-    grid = cells(points, side, corner)
-    count = len(grid.first)
-    numbers = cell_numbers(points[grid.first], side, corner)
+    of_point, numbers = _grid(np.concatenate([screen.points for screen in screens]), side, corner)
+    count = len(numbers)
     centers = (numbers + 0.5) * side + corner
     distances = np.concatenate([screen.distances for screen in screens])
     strength = np.maximum(
-        _far_distances(distances, grid.of_point, centers, finer), _offsets(screens, grid.of_point, centers, finer)
+        _far_distances(distances, of_point, centers, finer), _offsets(screens, of_point, centers, finer)
     )
     if len(changed):
         strength[Index(changed).query(centers).distances <= (_RING + 1) * side] = 0
     order = np.argsort(-strength, kind="stable")[: np.count_nonzero(strength)]
     weights = np.concatenate([np.full(len(screen.points), screen.weight) for screen in screens])
     most = SIDE_VOXELS**2 * _SURFACE_FOLD * (side / finer) ** 2
-    expected = np.minimum(np.bincount(grid.of_point, weights, count) / 2, most)
+    expected = np.minimum(np.bincount(of_point, weights, count) / 2, most)
     return _largest(order, numbers, expected, side, corner)
+
+
+def _grid(points: FloatArray, side: float, corner: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the cell (N,) of each point (N, 3), and the numbers (C, 3) of the occupied cells along each axis."""
+    grid = cells(points, side, corner)
+    return grid.of_point, cell_numbers(points[grid.first], side, corner)
 
 
 def _medians_around(values: FloatArray, centers: FloatArray) -> FloatArray:
     """Return the medians (C,) of values (C,) over the region around each cell, given by its centre (C, 3)."""
-    near = Index(centers).query(centers, min(_REGION_CELLS, len(centers))).indices.reshape(len(centers), -1)
-    return medians_of_rows(values, near)
+    index, medians = Index(centers), np.empty(len(centers))
+    for start in range(0, len(centers), _BLOCK_CELLS):
+        block = slice(start, start + _BLOCK_CELLS)
+        near = index.query(centers[block], min(_REGION_CELLS, len(centers))).indices
+        medians[block] = medians_of_rows(values, near.reshape(len(near), -1))
+    return medians
 
 
 def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArray, finer: float) -> FloatArray:
@@ -148,8 +159,8 @@ def _far_distances(distances: FloatArray, of_point: IntArray, centers: FloatArra
 def _offsets(screens: tuple[Screened, Screened], of_point: IntArray, centers: FloatArray, finer: float) -> FloatArray:
     """Return the offset (C,) of each cell from its surroundings times its points; 0 if it is not significant."""
     count = len(centers)
-    rows = np.flatnonzero(np.concatenate([screen.offsets.is_sheet for screen in screens]))
-    values = np.concatenate([screen.offsets.signed for screen in screens])[rows]
+    rows = np.flatnonzero(np.concatenate([screen.is_sheet for screen in screens]))
+    values = np.concatenate([screen.signed for screen in screens])[rows]
     cell = of_point[rows]
     numbers, strength = np.bincount(cell, minlength=count), np.zeros(count)
     tested = np.flatnonzero(numbers >= _MIN_SHEET)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes.samples import NEIGHBORS, Sample
+from pcbench.changes.samples import BALL_POINTS, NEIGHBORS, Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.order_statistics import median, medians_of_rows
@@ -33,7 +33,7 @@ class Ball(NamedTuple):
 
 
 # Small balls show thin and small objects, which stand on a surface that has not changed.
-BALLS = (Ball(8, 5e-3, 16), Ball(12, 1e-3, 9), Ball(24, 1e-4, 6))
+BALLS = tuple(map(Ball, BALL_POINTS, (5e-3, 1e-3, 1e-4), (16, 9, 6)))
 
 
 class Absence(NamedTuple):
@@ -79,8 +79,7 @@ def find_absence(sample: Sample, other: Index) -> Absence:
 
 def _counterparts(sample: Sample, other: Index) -> IntArray:
     """Return the numbers (B, N) of the other cloud's points in each of `BALLS`, at most those in the largest ball."""
-    reaches = sample.near.distances[:, [ball.points - 1 for ball in BALLS]]
-    counts: IntArray = np.minimum(other.count_near(sample.index, reaches), NEIGHBORS).T.copy()
+    counts: IntArray = np.minimum(other.count_near(sample.index, sample.near.distances), NEIGHBORS).T.copy()
     return counts
 
 

@@ -17,7 +17,9 @@ MAX_SAMPLE = 60_000
 SIDE_VOXELS = 1.5
 _COUNTED_POINTS = 240_000  # even sample that fills nearly all of `MAX_SAMPLE` voxels
 _SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
-NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
+BALL_POINTS = (8, 12, 24)  # other points in the balls around a point, in which its counterparts are counted
+NEIGHBORS = BALL_POINTS[-1]
+_BLOCK_POINTS = 8_192  # whose neighbours are searched at a time, to limit memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,17 +51,23 @@ class Sample:
 
     @cached_property
     def near(self) -> Matches:
-        """Distances (N, K) of the nearest other points in the sample, K of at most `NEIGHBORS`, and some indices.
+        """Radii (N, B) of the balls that contain `BALL_POINTS` other points of the sample, and some indices.
 
         The indices (N, 9) are those over which distances are smoothed: the point itself and the nearest others.
         """
-        matches = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
-        smoothed = np.column_stack([np.arange(len(self)), matches.indices[:, 1 : 1 + _SMOOTHED_POINTS]])
-        return Matches(matches.distances[:, 1:], smoothed)
+        ranks = np.minimum(BALL_POINTS, len(self) - 1)
+        smoothed = 1 + min(_SMOOTHED_POINTS, len(self) - 1)
+        near = Matches(np.empty((len(self), len(ranks))), np.empty((len(self), smoothed), np.int64))
+        for start in range(0, len(self), _BLOCK_POINTS):
+            block = slice(start, start + _BLOCK_POINTS)
+            distances, indices = self.index.query(self.points[block], int(ranks[-1]) + 1)
+            near.distances[block], near.indices[block] = distances[:, ranks], indices[:, :smoothed]
+        near.indices[:, 0] = np.arange(len(self))  # copies of a point may come before it
+        return near
 
     @property
     def reach(self) -> FloatArray:
-        """Radius (N,) of the ball around each point that contains its `near` points."""
+        """Radius (N,) of the largest ball around each point."""
         return self.near.distances[:, -1]
 
     def smooth(self, values: FloatArray) -> FloatArray:
@@ -69,7 +77,7 @@ class Sample:
     @cached_property
     def areas(self) -> FloatArray:
         """Area (N,) of the surface that each point represents."""
-        discs: FloatArray = np.pi * np.square(self.reach) / self.near.distances.shape[1]
+        discs: FloatArray = np.pi * np.square(self.reach) / min(NEIGHBORS, len(self) - 1)
         return discs
 
 

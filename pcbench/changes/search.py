@@ -118,13 +118,11 @@ class ClosestPoints(NamedTuple):
     Attributes:
         to_candidate: of each point of the reference in the candidate.
         to_reference: of each point of the candidate in the reference.
-        nearest_other: (N,) rows of the nearest other point of each point of the reference.
         has_duplicates: whether points of the reference are at the same place.
     """
 
     to_candidate: Matches
     to_reference: Matches
-    nearest_other: IntArray
     has_duplicates: bool
 
 
@@ -229,31 +227,54 @@ def _places(
     reference: Surface, candidate: Surface, closest: ClosestPoints | None, whole: SampleSearch, finer: float
 ) -> Places | None:
     """Return the places where a small part may have changed."""
-    screens = []
     changed = [
         sample.points[np.concatenate([part[which] for part, _ in whole.described])]
         for which, sample in enumerate(whole.samples)
         if whole.described
     ]
-    to_candidate, to_reference = (None, None) if closest is None else (closest.to_candidate, closest.to_reference)
-    for surface, other, known_matches, sign in (
-        (reference, candidate, to_candidate, 1.0),
-        (candidate, reference, to_reference, -1.0),
-    ):
-        step = -(-len(surface) // MAX_SCREENED)
-        points = surface.index.every(step)
-        every = np.arange(0, len(surface), step)
-        matches = other.index.query(points) if known_matches is None else known_matches.at(every)
-        if sign < 0:
-            rows = matches.indices
-        else:  # the first point at each place
-            rows = surface.index.query(points).indices if closest is None or closest.has_duplicates else every
-        vectors = sign * (other.index.points[matches.indices] - points)
-        offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
-        screens.append(Screened(points, matches.distances, offsets, len(surface) / len(points)))
-    side = whole.samples[0].side
+    are_distinct = closest is not None and not closest.has_duplicates
+    screens = (
+        _screened(
+            reference, candidate, reference, None if closest is None else closest.to_candidate, finer, are_distinct
+        ),
+        _screened(candidate, reference, reference, None if closest is None else closest.to_reference, finer),
+    )
     points_of_changes = np.concatenate(changed) if changed else np.zeros((0, 3))
-    return find_places((screens[0], screens[1]), side, finer, points_of_changes, reference.corner)
+    return find_places(screens, whole.samples[0].side, finer, points_of_changes, reference.corner)
+
+
+def _screened(
+    surface: Surface,
+    other: Surface,
+    reference: Surface,
+    closest: Matches | None,
+    finer: float,
+    are_distinct: bool = False,
+) -> Screened:
+    """Return some points of a cloud beside the other one, with their offsets along the reference's normals.
+
+    Args:
+        surface: the cloud.
+        other: the other one.
+        reference: one of both.
+        closest: closest points of the complete cloud in the other one; None: they are searched.
+        finer: length scale of the offsets.
+        are_distinct: whether all points of the cloud are known to be at different places.
+    """
+    step = -(-len(surface) // MAX_SCREENED)
+    points = surface.index.every(step)
+    every = np.arange(0, len(surface), step)
+    matches = other.index.query(points) if closest is None else closest.at(every)
+    is_reference = surface is reference
+    rows = matches.indices
+    if is_reference:  # the first point at each place
+        rows = every if are_distinct else surface.index.query(points).indices
+    vectors = other.index.points[matches.indices]
+    vectors -= points
+    if not is_reference:
+        np.negative(vectors, out=vectors)
+    offsets = _signed(reference, rows, vectors, matches.distances, finer, np.zeros(0))
+    return Screened(points, matches.distances, offsets.signed, offsets.is_sheet, len(surface) / len(points))
 
 
 def _noise(reference: Surface, candidate: Surface, closest: ClosestPoints | None) -> float:
@@ -270,12 +291,10 @@ def _offsets(
     """Return the signed distances of both samples from the other cloud, along the reference's normals."""
     ours, theirs = samples
     if closest is None:
-        nearest_other = reference.index.query(ours.points, 2).indices[:, 1]
         back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
     else:
-        nearest_other = closest.nearest_other[ours.rows]
         back, forth = closest.to_candidate.at(ours.rows), closest.to_reference.at(theirs.rows)
-    own = _own_offsets(reference, ours, nearest_other)
+    own = _own_offsets(reference, ours)
     vectors = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
     self_offsets = own[ours.index.query_index(theirs.index).indices]
     return [
@@ -314,7 +333,8 @@ def _oriented(normals: FloatArray) -> FloatArray:
     return np.where(signs == 0, 1.0, signs) * normals
 
 
-def _own_offsets(reference: Surface, sample: Sample, nearest: IntArray) -> FloatArray:
+def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
     """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
+    nearest = reference.index.query(sample.points, 2).indices[:, 1]  # of copies the point itself, or another copy
     signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], _oriented(reference.normals(nearest)))
     return np.abs(sample.smooth(signed))

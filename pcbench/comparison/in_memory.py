@@ -190,7 +190,9 @@ class PairInMemory:
     @cached_property
     def local_changes(self) -> Changes:
         """Changes between the complete clouds, in local coordinates."""
-        return find_changes(self.reference, self.aligned, self.matched)
+        changes = find_changes(self.reference, self.aligned, self.matched)
+        release_free_memory()  # that the search left in the heap
+        return changes
 
     @property
     def changes(self) -> Changes:

@@ -24,7 +24,7 @@ from pcbench.deformation.polynomials import (
     translation_columns,
 )
 from pcbench.deformation.sums import KERNEL_LENGTHS, TileSums, sum_over_tiles, tile_of_cells
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 
 TILE = 2  # cells along each edge of a tile
 # Information of a field relative to one that is observed along its direction everywhere. Below this, which is the level
@@ -133,11 +133,13 @@ class Geometry:
         self._halves: dict[str, FloatArray] = {}
         self._mixed: tuple[Noise, FloatArray] | None = None
 
-    @cached_property
-    def kernels(self) -> FloatArray:
-        """Correlations (J, C, C) of each kernel: averaged over the patches of two cells, or over the pairs in one."""
-        kernels, squared = np.empty((len(self.lengths), *self._apart.shape)), np.empty_like(self._apart)
-        for kernel, length, near in zip(kernels, self.lengths, self._near.T, strict=True):
+    def kernels(self, which: IntArray) -> FloatArray:
+        """Correlations (K, C, C) of some kernels: averaged over the patches of two cells, or over the pairs in one.
+
+        They are not kept: all of them take more memory than the rest of the test.
+        """
+        kernels, squared = np.empty((len(which), *self._apart.shape)), np.empty_like(self._apart)
+        for kernel, length, near in zip(kernels, self.lengths[which], self._near.T[which], strict=True):
             np.add(self._within, length**2, out=squared)
             np.multiply(squared, -2, out=kernel)
             np.divide(self._apart, kernel, out=kernel)
@@ -157,9 +159,9 @@ class Geometry:
         """Covariance (C, C) of the correlated noise between the means of cells."""
         if self._mixed is None or self._mixed[0] is not noise:
             total: FloatArray = np.zeros(self._apart.shape)
-            for variance, kernel in zip(noise.components, self.kernels, strict=True):
-                if variance > 0:
-                    total += variance * kernel
+            present = np.flatnonzero(noise.components > 0)
+            for variance, kernel in zip(noise.components[present], self.kernels(present), strict=True):
+                total += variance * kernel
             self._mixed = noise, total
         return self._mixed[1]
 
@@ -252,8 +254,8 @@ class Geometry:
             product += mask * squares
             own = float(np.diag(mask) @ np.trace(self.white_information, axis1=1, axis2=2))
             by_white.append(own - 2 * float((dz * white).sum()) + float((inner * spread).sum()))
-        kernels = self.kernels.reshape(len(self.kernels), -1)
-        by_kernel = products.reshape(len(products), -1) @ kernels.T
+        kernels = self.kernels(np.arange(len(self.lengths)))
+        by_kernel = products.reshape(len(products), -1) @ kernels.reshape(len(kernels), -1).T
         within = self._near.T @ np.diag(squares)
         return np.column_stack([by_white, by_kernel]), masks, by_kernel[0] / np.maximum(within, 1e-300)
 

@@ -87,15 +87,14 @@ class Side:
 
     def spread_rows(self, count: int) -> IntArray | None:
         """Return rows of about `count` evenly spread points that may be queries; None if there are too few."""
-        rows = np.flatnonzero(self.inside)
-        if len(rows) < MIN_PAIRS:
+        if np.count_nonzero(self.inside) < MIN_PAIRS:
             return None
-        points = self.surface.points if len(rows) == len(self.inside) else self.surface.points[rows]
-        side = SPREAD_SIDE * extent(points)
-        return rows[voxel_downsample_to(points, count, side)] if side > 0 else None
+        points, rows = self.surface.points, None if self.inside.all() else np.flatnonzero(self.inside)
+        side = SPREAD_SIDE * extent(points, rows)
+        return voxel_downsample_to(points, count, side, rows) if side > 0 else None
 
 
-def extent(points: FloatArray) -> float:
-    """Return the longest side of the robust bounds of points (N, 3)."""
-    lower, upper = robust_bounds(points)
+def extent(points: FloatArray, rows: IntArray | None = None) -> float:
+    """Return the longest side of the robust bounds of points (N, 3), or of those at some rows (M,)."""
+    lower, upper = robust_bounds(points, rows)
     return float((upper - lower).max())

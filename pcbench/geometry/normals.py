@@ -13,7 +13,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
-from pcbench.geometry.voxels import cells
+from pcbench.geometry.voxels import voxel_downsample
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
@@ -183,10 +183,8 @@ class Surface:
 
         Cells count from the lowest corner of all points; see `voxel_downsample`.
         """
-        if region is None:
-            return cells(self.points, side, self.corner).first
-        inside = np.flatnonzero(region.contains(self.points))
-        return inside[cells(self.points[inside], side, self.corner).first]
+        rows = None if region is None else np.flatnonzero(region.contains(self.points))
+        return voxel_downsample(self.points, side, rows, self.corner)
 
     def take_nearest_other(self) -> Matches:
         """Return the nearest other point of each point, see `Index.nearest_other`, and keep them no longer.

@@ -119,9 +119,8 @@ def measure_directions(
 def find_changes(reference: Reference, aligned: AlignedCandidate, matched: Matched) -> Changes:
     """Find the changes between the complete clouds, in the reference's local coordinates."""
     closest = None
-    if reference.region is None and reference.nearest_other is not None and reference.neighbors is not None:
-        has_duplicates = reference.neighbors.smallest == 0
-        closest = ClosestPoints(matched.back, matched.forth, reference.nearest_other, has_duplicates)
+    if reference.region is None and reference.neighbors is not None:
+        closest = ClosestPoints(matched.back, matched.forth, has_duplicates=reference.neighbors.smallest == 0)
     changes = separate_changes(*_sides(reference, aligned), closest)
     return changes.of_points(reference.points, aligned.index.points)
 

@@ -187,21 +187,27 @@ def mpeg(pair: CroppedPair, peak: float | None = None) -> Mpeg:
     """
     pair = _merge_duplicates(pair)
     a, b = pair.reference.points, pair.candidate.points
-    d1 = [_float32_squares(a, b, pair.to_candidate.indices), _float32_squares(b, a, pair.to_reference.indices)]
-    d2: list[FloatArray] = []
+    d1 = [
+        _MeanAndMaximum.of(_float32_squares(a, b, pair.to_candidate.indices)),
+        _MeanAndMaximum.of(_float32_squares(b, a, pair.to_reference.indices)),
+    ]
+    d2: list[_MeanAndMaximum] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
         ab = _all_nearest(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
         ba = _all_nearest(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
         normals_b = _averaged_normals(normals, ab, ba, len(b))
-        d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
+        d2 = [
+            _MeanAndMaximum.of(_plane_squares(a, b, normals_b, ab)),
+            _MeanAndMaximum.of(_plane_squares(b, a, normals, ba)),
+        ]
     if peak is None:
         peak = 0.0 if pair.neighbors is None else pair.neighbors.largest
 
-    def both_ways(squares: list[FloatArray]) -> DirectedValues:
+    def both_ways(squares: list[_MeanAndMaximum]) -> DirectedValues:
         if not squares:
             return DirectedValues()
-        forth, back = (float(np.mean(s)) for s in squares)
+        forth, back = (each.mean for each in squares)
         return DirectedValues(forth, back, max(forth, back))
 
     d1_mse, d2_mse = both_ways(d1), both_ways(d2)
@@ -210,10 +216,19 @@ def mpeg(pair: CroppedPair, peak: float | None = None) -> Mpeg:
         d2_mse=d2_mse,
         d1_psnr=metrics.psnr(d1_mse.symmetric or 0.0, peak),
         d2_psnr=metrics.psnr(d2_mse.symmetric or 0.0, peak),
-        hausdorff_squared_d1=max(float(s.max()) for s in d1),
-        hausdorff_squared_d2=max((float(s.max()) for s in d2), default=None),
+        hausdorff_squared_d1=max(each.maximum for each in d1),
+        hausdorff_squared_d2=max((each.maximum for each in d2), default=None),
         peak=peak,
     )
+
+
+class _MeanAndMaximum(NamedTuple):
+    mean: float
+    maximum: float
+
+    @classmethod
+    def of(cls, values: FloatArray) -> _MeanAndMaximum:
+        return cls(float(np.mean(values)), float(values.max()))
 
 
 def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray) -> FloatArray:
@@ -255,7 +270,7 @@ def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray,
     distances = metrics.plane_distances(
         queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices
     )
-    squares: FloatArray = np.square(distances)
+    squares: FloatArray = np.square(distances, out=distances)
     return squares if rows is None else _row_means(squares[:, None], rows, len(queries))[:, 0]
 
 

@@ -52,7 +52,6 @@ class Reference:
     inside: NDArray[np.bool_]
     rows: IntArray | None  # rows of the points inside the region; None: all
     neighbors: NeighborRange | None  # distances between neighbours; None for a single point
-    nearest_other: IntArray | None  # (N,) rows of the nearest other points; None for a single point
     spacing: float
     cells: intervals.CorrelationCells
     voxel: float
@@ -88,7 +87,6 @@ class Reference:
             inside=inside,
             rows=rows,
             neighbors=NeighborRange.of(nearest_other),
-            nearest_other=None if nearest_other is None else nearest_other.indices,
             spacing=surface.spacing
             if nearest_other is None
             else spacing_of_all(surface.index, surface.sampling, nearest_other),

@@ -12,7 +12,7 @@ from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, IntArray, rounding_bound
 from pcbench.measure import metrics
 from pcbench.measure.deviation import Spread
-from pcbench.measure.directions import MEAN_METRICS, Direction
+from pcbench.measure.directions import MEAN_METRICS, PLANE_METRIC, Direction
 from pcbench.measure.intervals import CellNumbers, CorrelationCells
 from pcbench.measure.plane_sample import PlaneSample
 from pcbench.measure.results import Extremes, SampledMean
@@ -73,17 +73,11 @@ def summarize(
         origin: (3,) offset that was subtracted from all coordinates.
     """
     to_points, to_planes = direction.distances
-    grid = voxels.cells(direction.points, voxel, corner)
+    area_weighted = _area_weighted_means(direction, voxel, corner)
     means: dict[str, CellSums] = {}
-    area_weighted: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
-        values = metric.values_of(direction.distances)
-        if values is None:  # no normals, no distances to planes
-            continue
-        means[metric.name] = _cell_sums(values, direction.cells, cells.number)
-        # A sample represents a whole direction, but not each voxel.
-        is_sampled = metric.name == "d2_mse" and isinstance(to_planes, PlaneSample)
-        area_weighted[metric.name] = None if is_sampled else metrics.area_weighted_mean(values, grid)
+        if (values := metric.values_of(direction.distances)) is not None:
+            means[metric.name] = _cell_sums(values, direction.cells, cells.number)
     for threshold in thresholds:
         within = (to_points <= threshold).astype(np.float64)
         means[within_key(threshold)] = _cell_sums(within, direction.cells, cells.number)
@@ -109,6 +103,21 @@ def summarize(
 def within_key(threshold: float) -> str:
     """Name in `DirectionSummary.means` of the share of queries within a threshold."""
     return f"within/{threshold!r}"
+
+
+def _area_weighted_means(direction: Direction, voxel: float, corner: FloatArray) -> dict[str, float | None]:
+    """Return the area-weighted mean of each metric that has distances; None if only a sample was measured.
+
+    A sample represents a whole direction, but not each voxel.
+    """
+    grid = voxels.cells(direction.points, voxel, corner)
+    means: dict[str, float | None] = {}
+    for metric in MEAN_METRICS:
+        if metric.name == PLANE_METRIC and isinstance(direction.distances.to_planes, PlaneSample):
+            means[metric.name] = None
+        elif (values := metric.values_of(direction.distances)) is not None:
+            means[metric.name] = metrics.area_weighted_mean(values, grid)
+    return means
 
 
 def _cell_sums(values: FloatArray, cells: CellNumbers, number: int) -> CellSums:

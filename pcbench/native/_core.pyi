@@ -70,6 +70,11 @@ def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[nu
     in place; the indices of the first points (M,) and the point counts (M,) of the cells are returned.
     """
 
+def first_in_cells(points: NDArray[numpy.float64], rows: NDArray[numpy.int64] | None, side: float, lower: NDArray[numpy.float64]) -> NDArray[numpy.int64]:
+    """
+    Indices (M,) of the first points in the occupied cubic cells, of all points or of those in rows.
+    """
+
 def plane_fits(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], neighbors: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
     """
     Fit a plane to each row of neighbours. Unit normals (M, 3) and surface variation (M,) are written in place.

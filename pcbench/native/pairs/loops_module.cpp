@@ -56,10 +56,23 @@ nb::tuple group_by_cell(Points points, double side, In<double, nb::shape<3>> low
     pcbench::OccupiedCells occupied;
     {
         nb::gil_scoped_release release;
-        occupied =
-            pcbench::group_by_cell(points.data(), points.shape(0), pcbench::Grid(side, lower.data()), cells.data());
+        occupied = pcbench::group_by_cell(points.data(), points.shape(0), pcbench::Grid(side, lower.data()), nullptr,
+                                          cells.data());
     }
     return nb::make_tuple(to_numpy(occupied.first), to_numpy(occupied.counts));
+}
+
+nb::object first_in_cells(Points points, OptionalIndices rows, double side, In<double, nb::shape<3>> lower) {
+    check(side > 0, "first_in_cells: expected a positive side");
+    const size_t count = rows ? rows->shape(0) : points.shape(0);
+    rows_of(points, rows, count);
+    pcbench::OccupiedCells occupied;
+    {
+        nb::gil_scoped_release release;
+        occupied = pcbench::group_by_cell(points.data(), count, pcbench::Grid(side, lower.data()),
+                                          rows ? rows->data() : nullptr, nullptr);
+    }
+    return to_numpy(occupied.first);
 }
 
 void plane_fits(Points points, In<int64_t, nb::ndim<2>> neighbors, Out<double, nb::shape<-1, 3>> normals,
@@ -314,6 +327,11 @@ void bind_loops(nb::module_& m) {
         "in place; the indices of the first points (M,) and the point counts (M,) of the cells are returned.",
         nb::sig("def group_by_cell(points: NDArray[numpy.float64], side: float, lower: NDArray[numpy.float64], cells: "
                 "NDArray[numpy.int64]) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]"));
+    m.def("first_in_cells", &first_in_cells, nb::arg("points").noconvert(), nb::arg("rows").noconvert().none(),
+          nb::arg("side"), nb::arg("lower"),
+          "Indices (M,) of the first points in the occupied cubic cells, of all points or of those in rows.",
+          nb::sig("def first_in_cells(points: NDArray[numpy.float64], rows: NDArray[numpy.int64] | None, side: float, "
+                  "lower: NDArray[numpy.float64]) -> NDArray[numpy.int64]"));
     m.def(
         "plane_fits", &plane_fits, nb::arg("points"), nb::arg("neighbors"), nb::arg("normals").noconvert(),
         nb::arg("variation").noconvert(),

@@ -39,14 +39,17 @@ struct OccupiedCells {
     std::vector<int64_t> first, counts;  // first point and number of points of each cell
 };
 
-// Writes the cell of each point. Cells are numbered in the order of their first points.
-inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, int64_t* labels) {
+// Groups points, or those at `count` rows unless `rows` is null, and writes the cell of each unless `labels` is null.
+// Cells are numbered in the order of their first points.
+inline OccupiedCells group_by_cell(const double* points, size_t count, const Grid& grid, const int64_t* rows,
+                                   int64_t* labels) {
     constexpr uint32_t kNone = UINT32_MAX;
     constexpr size_t kBatch = 64;  // slots are prefetched together: a single access would wait for memory
     unsigned bits = 10;
     std::vector<uint32_t> table(size_t{1} << bits, kNone);  // labels
     std::vector<Cell> labelled;                             // the cell of each label
     OccupiedCells cells;
+    const auto row = [&](size_t i) { return rows ? rows[i] : static_cast<int64_t>(i); };
     const auto slot_of = [&](const Cell& cell) { return cell.hash() >> (64 - bits); };
     const auto find = [&](const Cell& cell) -> uint32_t& {
         size_t at = slot_of(cell);
@@ -67,7 +70,7 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
         while (2 * (labelled.size() + size) > table.size()) grow();
         Cell batch_cells[kBatch];
         for (size_t i = 0; i < size; ++i) {
-            batch_cells[i] = grid.cell(points + 3 * (start + i));
+            batch_cells[i] = grid.cell(points + 3 * row(start + i));
             __builtin_prefetch(&table[slot_of(batch_cells[i])], 1);
         }
         for (size_t i = 0; i < size; ++i) {
@@ -75,10 +78,10 @@ inline OccupiedCells group_by_cell(const double* points, size_t count, const Gri
             if (label == kNone) {
                 label = static_cast<uint32_t>(labelled.size());
                 labelled.push_back(batch_cells[i]);
-                cells.first.push_back(static_cast<int64_t>(start + i));
+                cells.first.push_back(row(start + i));
                 cells.counts.push_back(0);
             }
-            labels[start + i] = label;
+            if (labels) labels[start + i] = label;
             ++cells.counts[label];
         }
     }

@@ -102,6 +102,6 @@ void golden::points() {
 
     const double lower[3] = {400000, 400000, 400000};
     const pcbench::OccupiedCells occupied =
-        pcbench::group_by_cell(cloud.data(), kCount, pcbench::Grid(0.7, lower), rows.data());
+        pcbench::group_by_cell(cloud.data(), kCount, pcbench::Grid(0.7, lower), nullptr, rows.data());
     Hash("group_by_cell").add(rows).add(occupied.first).add(occupied.counts);
 }
