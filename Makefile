@@ -10,31 +10,38 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel wheels sdist release bench instructions measured stale gallery notebooks wording pictures clean
+.PHONY: demo demo-clouds demo-bench test long variations lint types docs slow sanitize compilers processors wheel wheels sdist release bench instructions measured stale gallery notebooks wording pictures clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 
 # An editable install does not rebuild C++ automatically, so the stamps depend on the native sources.
-$(VENV)/.plot: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot]'
+$(VENV)/.core: $(BIN)/python $(NATIVE)
+	$(PIP) --no-deps --editable .
 	@touch $@
 
-# What reconstructors need; pcbench itself stays as it is installed.
-$(VENV)/.demo: $(VENV)/.plot
-	$(PIP) 'pcbench[sfm,mvs,splat,field]'
+$(VENV)/.plot: $(BIN)/python pyproject.toml constraints.txt
+	$(BIN)/python packaging/requirements.py plot | $(PIP) --requirement /dev/stdin
+	@touch $@
+
+$(VENV)/.photographs: $(VENV)/.plot
+	$(BIN)/python packaging/requirements.py sfm mvs splat field | $(PIP) --requirement /dev/stdin
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)
 	$(PIP) --editable '.[all,dev]'
-	@touch $(VENV)/.plot $(VENV)/.demo $@
+	@touch $(VENV)/.core $(VENV)/.plot $(VENV)/.photographs $@
 
-# The first answer comes while the large packages of the reconstructors are installed.
-demo: $(VENV)/.plot
-	@$(MAKE) --no-print-directory $(VENV)/.demo & \
-	$(BIN)/pcbench demo --out demo --no-bench; answer=$$?; \
-	wait $$! && test $$answer -eq 0 && $(BIN)/pcbench demo --out demo --no-clouds
+# The core is compiled while packages are unpacked, and the first answer comes before all of them are there.
+demo:
+	@+$(MAKE) --no-print-directory --jobs 3 demo-bench
+
+demo-clouds: $(VENV)/.core $(VENV)/.plot
+	$(BIN)/pcbench demo --out demo --no-bench
+
+demo-bench: demo-clouds $(VENV)/.photographs
+	$(BIN)/pcbench demo --out demo --no-clouds
 
 # Workers and child processes read compiled modules; otherwise each would compile pcbench and rewrite all asserts again.
 unexport PYTHONDONTWRITEBYTECODE

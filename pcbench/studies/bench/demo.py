@@ -60,7 +60,7 @@ def demo_job(folder: Path, seed: int, step: Callable[[str], None]) -> BenchJob:
             Axis.sweep("splat.image_scale=0.5"),
             Axis.sweep("sfm.upsample=false,true"),
             Axis.sweep("splat.cloud=means,surface"),
-            Axis.setting("splat.steps=600"),
+            Axis.setting("splat.steps=400"),
         ],
         rules=Rules(crop=f"box:{-half:g},{-half:g},-100,{half:g},{half:g},200"),
     )

@@ -51,8 +51,8 @@ def test_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
         "sfm image_scale=1 upsample=true",
         "mvs image_scale=0.35",
         "mvs image_scale=0.5",
-        "splat image_scale=0.5 cloud=means steps=600",
-        "splat image_scale=0.5 cloud=surface steps=600",
+        "splat image_scale=0.5 cloud=means steps=400",
+        "splat image_scale=0.5 cloud=surface steps=400",
     ]
 
 
