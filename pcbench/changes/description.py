@@ -19,6 +19,7 @@ _MAX_SIZE_RATIO = 2.0  # of the areas of a part before and after it moved
 _MAX_MISFIT, _FITTING_PERCENT, _COMMON_PERCENT = 1.5, 80, 60
 _REFINEMENTS = 3  # of a motion by closest points
 _MAX_COMPARED_PAIRS = 50  # of removed and added parts: among more, some have the same shape by chance
+_MAX_MOTION = 5.0  # in diameters: farther apart, an object that came cannot be told from the one that went
 _SURROUNDINGS = 2.0  # radius of a part's surroundings, in radii of the part
 _CELL = 3.0  # side of the cells of a footprint, in voxels
 _MIN_COVERED_SHARE = 0.5
@@ -56,6 +57,11 @@ class Shown(NamedTuple):
         """Mean point (3,)."""
         center: FloatArray = np.average(self.points, axis=0, weights=self.areas)
         return center
+
+    @property
+    def diameter(self) -> float:
+        """Twice the largest distance of a point from the centre."""
+        return 2 * float(np.linalg.norm(self.points - self.center, axis=1).max())
 
 
 class SampledPair(NamedTuple):
@@ -181,6 +187,9 @@ def _same_shapes(
     for i, ours in enumerate(before):
         for j, theirs in enumerate(after):
             if not 1 / _MAX_SIZE_RATIO <= ours.area / theirs.area <= _MAX_SIZE_RATIO:
+                continue
+            distance = float(np.linalg.norm(theirs.center - ours.center))
+            if distance > _MAX_MOTION * max(ours.diameter, theirs.diameter):
                 continue
             motion = _shortest_motion(ours, theirs, scene)
             if motion is not None and _have_same_shape(ours, theirs, scene.side):

@@ -109,6 +109,13 @@ def test_an_object_elsewhere_moved():
     assert change.motion[0] == pytest.approx(15, rel=0.1)
 
 
+def test_an_object_far_from_one_that_is_gone_did_not_move():
+    """Parts of a few voxels have the same shape."""
+    reference = np.concatenate([ground(1), box((-15, -15), CAR, 3)])
+    candidate = np.concatenate([ground(2), box((25, 5), CAR, 4)])
+    assert {change.kind for change in search(reference, candidate).found} == {ADDED, REMOVED}
+
+
 def test_walls_of_a_house_that_shifted_moved():
     """Normals of walls have arbitrary signs; the ground around the house did not move."""
     reference = np.concatenate([ground(1), box((10, 5), HOUSE, 3)])
