@@ -129,7 +129,7 @@ def test_ctrl_c_stops_patchmatch():
     gray = np.random.default_rng(3).integers(0, 255, (300, 400), np.uint8)
     pinhole, motion = np.array([400, 400, 200, 150], np.float32), np.eye(3, 4, dtype=np.float32)
     motion[0, 3] = 40
-    matcher = _patchmatch.Matcher(gray, pinhole, None, 1.0, 10.0, 40.0, 1.0, 0)
+    matcher = _patchmatch.Matcher(gray, pinhole, None, 1.0, 10.0, 40.0, 1.0, False, 0)
     matcher.add_source(gray, motion, None, motion, None)
     planes, cost, views = (np.full((300, 400, n), -1, np.float32) for n in (4, 1, 1))
     # Takes many seconds.

@@ -97,7 +97,7 @@ int main(int, char** arguments) {
         for (int s = 0; s < sources; ++s)
             state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] =
                 -0.001f * static_cast<float>(s * kLanes + l + 1);
-    Search(problem, state, y, first).improve(0);
+    Search<1>(problem, state, y, first).improve(0);
     for (int l = 0; l < kLanes; ++l)
         for (int s = 0; s < sources; ++s)
             kept += state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] ==
@@ -108,7 +108,7 @@ int main(int, char** arguments) {
         state.plane[4 * number(kColumn - 2 * l, kRow)] = 1.5f * kTrueDepth;
         for (int s = 0; s < sources; ++s) state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] = kMaxCost;
     }
-    Search(problem, state, y, first).improve(0);
+    Search<1>(problem, state, y, first).improve(0);
     int taken = 0;
     for (int l = 0; l < kLanes; ++l) {
         const int64_t at = number(kColumn - 2 * l, kRow);
