@@ -239,45 +239,64 @@ def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray)
 
 
 class _NearestPoints(NamedTuple):
-    """All nearest points of each query: parallel lists of query rows (None: each query once) and point indices."""
+    """All nearest points of each of N queries.
 
-    rows: IntArray | None
+    Attributes:
+        nearest: (N,) a nearest point of each query.
+        tied: (T,) queries that have several, ascending.
+        which: (P,) number of one of these in `tied`, for each of its nearest points.
+        indices: (P,) these nearest points.
+    """
+
+    nearest: IntArray
+    tied: IntArray
+    which: IntArray
     indices: IntArray
+
+    def means_of_tied(self, values: FloatArray) -> FloatArray:
+        """Return the mean (T,) over the nearest points of each tied query of values (P,)."""
+        means: FloatArray = np.bincount(self.which, values, len(self.tied)) / np.bincount(self.which)
+        return means
 
 
 def _all_nearest(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _NearestPoints:
-    if not several.any():
-        return _NearestPoints(None, nearest.indices)
-    single, tied = np.flatnonzero(~several), np.flatnonzero(several)
+    tied = np.flatnonzero(several)
+    if not len(tied):
+        return _NearestPoints(nearest.indices, tied, tied, tied)
     candidates = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
     near = np.square(candidates.distances.reshape(len(tied), -1))
     which, column = np.nonzero(near - near[:, :1] < _TIE_TOLERANCE)
-    indices = candidates.indices.reshape(len(tied), -1)[which, column]
-    return _NearestPoints(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
+    return _NearestPoints(nearest.indices, tied, which, candidates.indices.reshape(len(tied), -1)[which, column])
 
 
 def _averaged_normals(normals_a: FloatArray, ab: _NearestPoints, ba: _NearestPoints, count: int) -> FloatArray:
     """Average the normals of the a points matched to each b point; if there are none, of its nearest a points."""
-    result = _row_means(normals_a if ab.rows is None else normals_a[ab.rows], ab.indices, count)
-    lonely = np.bincount(ab.indices, minlength=count) == 0
-    of_nearest = normals_a[ba.indices] if ba.rows is None else _row_means(normals_a[ba.indices], ba.rows, count)
-    result[lonely] = of_nearest[lonely]
-    return result
+    numbers = np.bincount(ab.nearest, minlength=count) + np.bincount(ab.indices, minlength=count)
+    numbers -= np.bincount(ab.nearest[ab.tied], minlength=count)
+    lonely = np.flatnonzero(numbers == 0)
+    averages = np.empty((count, 3))
+    for axis in range(3):  # one at a time, to limit memory
+        normals = normals_a[:, axis].copy()
+        normals[ab.tied] = 0.0
+        sums = np.bincount(ab.nearest, normals, count)
+        np.add.at(sums, ab.indices, normals_a[ab.tied[ab.which], axis])
+        averages[:, axis] = sums / np.maximum(numbers, 1)
+        normals_b = normals_a[ba.nearest, axis]
+        normals_b[ba.tied] = ba.means_of_tied(normals_a[ba.indices, axis])
+        averages[lonely, axis] = normals_b[lonely]
+    return averages
 
 
 def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _NearestPoints) -> FloatArray:
-    rows, indices = choices
-    distances = metrics.plane_distances(
-        queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices
-    )
-    squares: FloatArray = np.square(distances, out=distances)
-    return squares if rows is None else _row_means(squares[:, None], rows, len(queries))[:, 0]
+    def squares_of(rows: IntArray | None, closest: IntArray) -> FloatArray:
+        distances = metrics.plane_distances(
+            queries, others, normals, query_rows=rows, closest_rows=closest, normal_rows=closest
+        )
+        return np.square(distances, out=distances)
 
-
-def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Return the mean (count, C) of the values (M, C) of each row; 0 for rows without values."""
-    number = np.maximum(np.bincount(rows, minlength=count), 1)
-    return np.stack([np.bincount(rows, column, minlength=count) / number for column in values.T], axis=1)
+    squares = squares_of(None, choices.nearest)
+    squares[choices.tied] = choices.means_of_tied(squares_of(choices.tied[choices.which], choices.indices))
+    return squares
 
 
 def _merge_duplicates(pair: CroppedPair) -> CroppedPair:
