@@ -33,9 +33,9 @@ from pcbench.tasks.codec import fingerprint
 
 # Peaks of `pcbench compare`, measured by `benchmarks/memory.py`; small clouds need most in the test for deformation.
 _BASE_BYTES = 100_000_000
-_BYTES_PER_POINT = 225  # of the reference and of the largest candidate, while distances are measured
+_BYTES_PER_POINT = 190  # of the reference and of the largest candidate, while distances are measured
 _BYTES_PER_TESTED_POINT = 130  # of both, in the test for deformation
-_BYTES_PER_QUERY = 4_000  # of that test
+_BYTES_PER_QUERY = 2_500  # of that test
 _MAX_QUERIES = 30_000  # about; more points have the same number of queries
 _BYTES_PER_FURTHER_POINT = 95  # of the other candidates
 _POINT_BYTES = 24  # x, y and z, which the figures above contain

@@ -36,6 +36,18 @@ def test_far_points_share_the_outermost_cells():
         cells(points, 0.0)
 
 
+@pytest.mark.parametrize("lower", [None, np.zeros(3)])
+def test_rows_are_downsampled_as_a_copy_of_their_points(lower):
+    rng = np.random.default_rng(3)
+    points = rng.random((70_000, 3)) - 0.2
+    rows = np.flatnonzero(rng.random(len(points)) < 0.98)  # more than one block of rows
+    expected = rows[cells(points[rows], 0.05, lower).first]
+    np.testing.assert_array_equal(voxel_downsample(points, 0.05, rows, lower), expected)
+    np.testing.assert_array_equal(
+        voxel_downsample_to(points, 500, 0.05, rows), rows[voxel_downsample_to(points[rows], 500, 0.05)]
+    )
+
+
 def test_downsampling_keeps_the_first_point_of_each_cell():
     points = np.array([[0.1, 0, 0], [0.9, 0, 0], [1.1, 0, 0], [0.2, 0, 0], [5, 0, 0]])
     np.testing.assert_array_equal(voxel_downsample(points, 1.0), [0, 2, 4])

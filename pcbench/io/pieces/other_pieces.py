@@ -97,8 +97,7 @@ def describe_ept(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, 
         for first, end in group((node.points for node in nodes), piece_points)
     ]
     low, high = as_corner(index.bounds[:3]), as_corner(index.bounds[3:])
-    # The parts of many small nodes are joined, and the system does not get their memory back.
-    nbytes = index.points * 2 * (_COORDINATE_BYTES + index.dtype.itemsize)
+    nbytes = index.points * (_COORDINATE_BYTES + index.dtype.itemsize)
     return CloudFile(
         path, index.points, low, high, index.crs, index.unit, has_node_normals(index, nodes[0]), nbytes
     ), parts
