@@ -34,14 +34,15 @@ class Break(NamedTuple):
     azimuth: float
     offset: FloatArray
 
-    def text(self, origin: FloatArray) -> str:
-        """Return a warning that names the line and the offset."""
+    def text(self, origin: FloatArray, unit: str) -> str:
+        """Return a warning that names the line and the offset; `unit` is its unit after a space, or empty."""
         x, y = (self.place + origin)[:2]
+        offset = f"{float(np.linalg.norm(self.offset)):.2g}{unit}"
         return (
-            f"two parts displaced by {float(np.linalg.norm(self.offset)):.2g} against each other, across a line through"
-            f" ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x, explain the differences better than a cubic"
-            " deformation: look there for the border of strips or blocks that were aligned separately, or for a"
-            " bend with more turns than a cubic model has"
+            f"two parts displaced by {offset} against each other, across a line through ({x:.1f}, {y:.1f}) at"
+            f" {self.azimuth:.0f} degrees from x, explain the differences better than a cubic deformation: look there"
+            " for the border of strips or blocks that were aligned separately, or for a bend with more turns than a"
+            " cubic model has"
         )
 
 

@@ -87,7 +87,9 @@ class Finding(NamedTuple):
         return self._replace(verdict="undecided", conditional=self.verdict, warnings=(reason, *self.warnings))
 
 
-def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
+def decide(
+    evidence: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0, unit: str = ""
+) -> Finding:
     """Return the smallest adequate model, tested from the largest down.
 
     A larger model is stated only if it is significant and its size is not negligible; the whole interval of the size of
@@ -102,6 +104,7 @@ def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution:
         evidence: that of several sets of pairs of the same clouds; all must agree.
         metric: whether the scale of both clouds is known; otherwise a difference in scale is not a deformation.
         resolution: smallest deformation that counts, in the clouds' unit.
+        unit: that unit after a space, for the warnings; empty if it is unknown.
     """
     geometry, noise = evidence[0].geometry, evidence[0].noise
     negligible = max(resolution, negligible_rms(noise))
@@ -137,8 +140,8 @@ def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution:
         warnings.append(Notice("nothing-observable", text))
     if tiles < MIN_TILES:
         text = (
-            f"only {tiles} tiles of {TILE * geometry.side:.3g} contain points (expected at least {MIN_TILES}): use a"
-            " larger or better covered scene"
+            f"only {tiles} tiles of {TILE * geometry.side:.3g}{unit} contain points (expected at least"
+            f" {MIN_TILES}): use a larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
     amplitudes = sizes("affine", "cubic")
@@ -164,8 +167,9 @@ def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution:
         verdict, model = "none", "rigid"
     if model != "affine" and (hidden := min(_affine_rms(each) for each in evidence)) > negligible:
         text = (
-            f"{hidden:.2g} RMS along the normals may be a deformation, or a shear or stretch along surfaces that"
-            " hardly constrain it; use a scene with walls, or control points (--register points:FILE)"
+            f"{hidden:.2g}{unit} RMS along the normals may be a deformation, or a shear or stretch"
+            " along surfaces that hardly constrain it; use a scene with walls, or control points (--register"
+            " points:FILE)"
         )
         warnings.append(Notice("stretch-or-bend", text))
         verdict = "undecided"
@@ -181,13 +185,17 @@ def decide(evidence: Sequence[PairEvidence], *, metric: bool = True, resolution:
     if is_indicated or may_be_noise:
         side = geometry.side * TILE
         remedy = (
-            f"it is correlated over {noise.correlation_length:.3g}, so that this scene has too few independent parts"
-            f" (it would have to be about {40 * noise.correlation_length:.3g} wide); measure a larger area, or known"
-            " points in both clouds (--register points:FILE)"
+            f"it is correlated over {noise.correlation_length:.3g}{unit}, so that this scene has too few independent"
+            f" parts (it would have to be about {40 * noise.correlation_length:.3g}{unit} wide); measure a larger area,"
+            " or known points in both clouds (--register points:FILE)"
             if noise.correlation_length > side / 6
             else "use more points or a larger scene"
         )
-        text = f"the residuals suggest a deformation, but noise may explain them: {remedy}"
+        size = max(a.rms for a in amplitudes)
+        text = (
+            f"the residuals suggest a deformation of {size:.2g}{unit} RMS along the normals, but noise may explain"
+            f" them: {remedy}"
+        )
         warnings.append(Notice("noise-or-bend", text))
     if is_indicated or may_be_noise or non_affine.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"

@@ -15,7 +15,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
 
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
-_MAX_PARTITIONED = 10_000  # smaller arrays are partitioned by numpy: the selection's histogram has a fixed cost
+_MAX_PARTITIONED = 10_000  # smaller single arrays are partitioned by numpy: the selection's histogram costs
 
 
 def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:

@@ -54,6 +54,10 @@ def voxel_downsample(
     if not side > 0:
         raise InputError(f"expected a positive cell side, got {side}")
     points = np.ascontiguousarray(points, np.float64)
+    if rows is not None:
+        rows = np.ascontiguousarray(rows, np.int64)
+        if not len(rows):
+            return rows
     corner = _lowest_corner(points, rows) if lower is None else np.ascontiguousarray(lower, np.float64)
     return _core.first_in_cells(points, rows, side, corner)
 

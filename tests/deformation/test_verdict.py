@@ -1,11 +1,14 @@
 """The verdict on two clouds: known bends are found with their size, and nothing else is reported as a bend."""
 
+import re
+
 import numpy as np
 import pytest
 from bends import HalvesScene
 from bent_clouds import add_dome, add_noise, sample_city, verdict, warning_codes
 from data_folder import data_folder
 from optional import import_or_skip
+from wording import check_text
 
 from pcbench import Cloud, read_cloud
 from pcbench.deformation import Observable, deform
@@ -90,6 +93,31 @@ def test_one_moved_building_is_a_change():
     assert result.changes
     for change in result.changes:
         assert (np.abs(change.place[:2] - center) < half_size + 5).all()
+
+
+def test_one_object_of_many_points_that_moved_is_no_deformation():
+    """It has a fourteenth of the points and a thousandth of the area, and would draw a smooth model towards it.
+
+    It is named with its offset, and a larger one reads as larger.
+    """
+    offsets = []
+    for shift in (0.4, 1.0):
+        rng = np.random.default_rng(6)
+        reference, candidate = (add_noise(sample_city(20_000, rng), rng) for _ in range(2))
+        sphere = rng.normal(size=(1_500, 3))
+        sphere = [-185.0, -185.0, 3.0] + 3 * sphere / np.linalg.norm(sphere, axis=1)[:, None]
+        reference = np.vstack([reference, add_noise(sphere, rng)])
+        candidate = np.vstack([candidate, add_noise(sphere, rng) + [shift, 0, 0]])
+        result = verdict(reference, candidate, "none")
+        assert (result.verdict, warning_codes(result)) == ("none", ["dominant-place"])
+        text = check_text(result.further_warnings[0])
+        x, y, offset = map(float, re.search(r"\((\S+), (\S+), .* lie (\S+) m RMS", text).groups())
+        assert np.hypot(x + 185, y + 185) < 10
+        offsets.append(offset / shift)
+        bent = verdict(reference, add_dome(candidate, 0.1), "none")
+        assert (bent.verdict, warning_codes(bent)) == ("non-affine", [])
+    # The normals of a sphere have a mean square of a third along the shift.
+    assert offsets == pytest.approx([3**-0.5] * 2, rel=0.2)
 
 
 @pytest.mark.parametrize(("verdict_name", "scale", "shear"), [("similarity", 1.002, 0.0), ("affine", 1.0, 0.005)])

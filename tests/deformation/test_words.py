@@ -5,11 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from bent_clouds import add_dome, add_noise, sample_city
+from bent_clouds import add_dome, add_noise, sample_city, verdict
 from wording import check_text
 
 from pcbench import Cloud, Settings, compare, deform
 from pcbench.deformation import Deformation
+from pcbench.deformation import verdict as models
 from pcbench.registration import quality
 from pcbench.registration.result import UNOBSERVABLE
 from pcbench.report import to_json
@@ -93,16 +94,28 @@ def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
     bent[:, 2] += 0.5 * np.square(bent[:, :2] / 200).sum(axis=1)
     comparison = compare(town, {"flat": flat, "bent": bent})
     text = markdown(comparison)
-    for name, verdict in (("flat", "none"), ("bent", "non-affine")):
+    for name, label in (("flat", "none"), ("bent", "non-affine")):
         result = comparison[name].deformation
         assert comparison[name].registration.doubtful
-        assert (result.verdict, result.conditional_verdict, result.label) == ("undecided", verdict, f"{verdict} (?)")
-        assert result.assuming_pose().verdict == verdict
+        assert (result.verdict, result.conditional_verdict, result.label) == ("undecided", label, f"{label} (?)")
+        assert result.assuming_pose().verdict == label
         assert result.amplitude is not None
         assert result.label in text
         check_text(result.sentence(name))
         assert Deformation.from_json(json.loads(to_json(result))) == result
     check_text(" ".join(answer(comparison)))
+
+
+def test_an_undecided_deformation_has_its_size(monkeypatch):
+    """A larger suspicion must not read as a smaller one."""
+    monkeypatch.setattr(models, "_MIN_PREDICTION_GAIN", np.inf)  # no deformation is certain enough
+    for size in (0.1, 0.4):
+        rng = np.random.default_rng(1)
+        reference, candidate = (add_noise(sample_city(6_000, rng), rng) for _ in range(2))
+        result = verdict(reference, add_dome(candidate, size), "none")
+        assert result.verdict == "undecided"
+        stated = re.search(r"suggest a deformation of ([0-9.]+) m RMS", check_text(result.sentence("a", "m")))
+        assert 0.75 * size < float(stated[1]) < size  # along normals, most of which point upwards
 
 
 @pytest.mark.parametrize("frame", ["local", "feet"])
