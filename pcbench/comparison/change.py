@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -12,7 +12,8 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.polygon_files import read_polygon, read_zones
-from pcbench.geometry.regions import Region
+from pcbench.geometry.region_text import check_polygon_system
+from pcbench.geometry.regions import Region, Union
 from pcbench.io.las_records import parse_filters
 from pcbench.io.pieces.reading import read_piece
 from pcbench.io.source import Source
@@ -39,6 +40,7 @@ from pcbench.progress import ProgressPlan
 from pcbench.report.change.document import ChangeDocument
 from pcbench.report.change.folder import write_change
 from pcbench.report.change.maps import TREND_NAME
+from pcbench.report.change.words import volume_unit
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder
 from pcbench.report.names import names_of
@@ -92,12 +94,17 @@ def measure_change(
     surveys = []
     for source, name, day in epochs:
         plan(f"reading {source.path}")
-        surveys.append(open_epoch(source, name, day))
+        surveys.append(open_epoch(source, name, day, settings.unit))
     check_same_system(surveys)
     grid = common_grid(surveys, settings.cell, memory)
     regions = {} if settings.zones is None else read_zones(settings.zones)
+    stable_region = None if settings.stable is None else read_polygon(settings.stable)
+    crs = surveys[0].cloud.crs or surveys[-1].cloud.crs
+    for file, region in ((settings.zones, Union(tuple(regions.values()))), (settings.stable, stable_region)):
+        if file is not None and region is not None:
+            check_polygon_system(file, region, crs, surveys[0].low, surveys[0].high)
     zones = _zone_masks(settings.zones, regions, grid)
-    stable = None if settings.stable is None else _stable_mask(settings.stable, grid)
+    stable = None if stable_region is None else _stable_mask(settings.stable, stable_region, grid)
     surfaces = []
     for survey in surveys:
         plan(f"gridding {survey.source.path}")
@@ -147,7 +154,7 @@ def measure_change(
         places=tuple(place_changes(settings.points, grid, differences)),
         trend=trend_of(differences, times),
         unit=surveys[0].cloud.unit or surveys[-1].cloud.unit,
-        crs=surveys[0].cloud.crs or surveys[-1].cloud.crs,
+        crs=crs,
         warnings=tuple(_warnings(surveys, changes, settings)),
     )
 
@@ -210,8 +217,8 @@ def _zone_masks(path: Path | None, regions: Mapping[str, Region], grid: HeightGr
     return masks
 
 
-def _stable_mask(path: Path, grid: HeightGrid) -> Mask:
-    mask = _cells_inside(read_polygon(path), grid)
+def _stable_mask(path: Path | None, region: Region, grid: HeightGrid) -> Mask:
+    mask = _cells_inside(region, grid)
     if not mask.any():
         raise InputError(f"{path}: expected stable terrain in the area that the epochs share: check the polygon")
     return mask
@@ -266,6 +273,7 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
             continue
         is_named, unit = settings.stable is not None, surveys[0].cloud.unit
         lines += _difference_warnings(difference, difference.model, name, unit, is_named=is_named)
+        lines += _void_warnings(change, unit)
     days = [survey.date for survey in surveys]
     if len(surveys) > 2 and None not in days and len({*days}) < len(days):
         lines.append("two epochs have one date, so that the trend is per epoch and not per year: check --dates")
@@ -275,6 +283,21 @@ def _warnings(surveys: Sequence[Epoch], changes: Sequence[EpochChange], settings
             " volumes are not corrected: compare epochs of different density by mean"
         )
     return lines
+
+
+def _void_warnings(change: EpochChange, unit: str | None) -> Iterator[str]:
+    """Yield a warning if the interval of the net volume would miss the volume that the voids have."""
+    net, void_area = change.whole.volumes.net, change.whole.void_area
+    half_width = (net.high - net.low) / 2
+    if abs(change.whole.mean.value) * void_area <= half_width:  # usual, and cheap to see
+        return
+    volume = change.difference.volume_in_voids
+    if abs(volume) > half_width:
+        yield (
+            f"{change.epoch.name}: cells without points of an epoch are in no volume, and would have about"
+            f" {with_unit(f'{volume:+.3g}', volume_unit(unit))}, more than the 95 % interval of the net volume allows"
+            " for: --fill-voids adds it, or choose larger cells (--cell)"
+        )
 
 
 def _difference_warnings(

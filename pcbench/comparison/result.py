@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, one_line
 from pcbench.geometry.cloud import Cloud
 from pcbench.report import exports, plot
 from pcbench.report.answer import answer
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import FinishedComparison
+from pcbench.report.notes import metric_warnings
 from pcbench.report.table import html
 
 _MAX_SHOWN_CANDIDATES = 2  # whose numbers the text of a comparison has
@@ -111,11 +112,12 @@ class Comparison(FinishedComparison):
         return exports.data_frame(self)
 
     def __repr__(self) -> str:
-        """Return the first sentence of the answer, and each candidate, or the names of more than two."""
+        """Return the first sentence of the answer, each candidate or the names of more than two, and failed metrics."""
         sentence = answer(self)[0].partition(". ")[0].removesuffix(".")
         names = f"{len(self)} candidates: {', '.join(c.name for c in self)}"
-        rest = map(repr, self) if len(self) <= _MAX_SHOWN_CANDIDATES else [names]
-        return "\n  ".join([f"Comparison: {sentence}.", *rest])
+        rest = [c.summary for c in self] if len(self) <= _MAX_SHOWN_CANDIDATES else [names]
+        failures = [f"warning: {one_line(text)}" for text in metric_warnings(self)]
+        return "\n  ".join([f"Comparison: {sentence}.", *rest, *failures])
 
     def _repr_html_(self) -> str:
         """Return the table for a notebook."""

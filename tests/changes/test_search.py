@@ -7,7 +7,17 @@ from data_folder import data_folder
 from scipy.spatial import ConvexHull
 from wording import check_text
 
-from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, details, find_changes, samples
+from pcbench.changes import (
+    ADDED,
+    MOVED,
+    REMOVED,
+    STABLE,
+    UNMATCHED,
+    ClosestPoints,
+    details,
+    find_changes,
+    samples,
+)
 from pcbench.changes.description import convex_outline
 from pcbench.deformation.sides import Side
 from pcbench.deformation.stable import separate_changes
@@ -179,6 +189,21 @@ def test_a_small_object_in_a_large_scene_is_a_change(few_samples):
     assert len(labelled) > 50
     assert (np.abs(labelled[:, :2] - [10, 5]) < 4).all()
     assert not found.warnings
+
+
+@pytest.mark.parametrize("copies", [0, 3000])
+def test_known_closest_points_and_blocks_of_cells_change_no_label(few_samples, monkeypatch, copies):
+    clouds = ground(1), small_car(ground(2))
+    indices = [Index(np.concatenate([cloud, cloud[:copies]])) for cloud in clouds]
+    expected = find_changes(*map(Surface, indices))
+    assert len(expected.found) == 1
+    for module, name in ((samples, "_BLOCK_POINTS"), (details, "_BLOCK_CELLS")):
+        monkeypatch.setattr(module, name, 97)
+    back, forth = indices[1].query_index(indices[0]), indices[0].query_index(indices[1])
+    found = find_changes(*map(Surface, indices), ClosestPoints(back, forth, has_duplicates=copies > 0))
+    assert found.noise == expected.noise
+    for labels, expected_labels in zip(found.labels, expected.labels, strict=True):
+        np.testing.assert_array_equal(labels, expected_labels)
 
 
 def test_places_that_were_not_searched_are_named(few_samples):

@@ -32,11 +32,39 @@ def test_the_answer_comes_first(site, run):
     assert [zone["name"] for zone in values["changes"][0]["zones"]] == ["heap", "hole"]
 
 
+def test_a_stated_unit_is_that_of_clouds_without_one(site, run):
+    write_cloud("metres.ply", Cloud(survey(0, 9, 400), unit="m"))
+    write_cloud("none.las", Cloud(survey(1, 8, 400)))
+    for clouds in (("metres.ply", "none.las"), ("none.las", "site_2022.xyz")):
+        code, out, err = run("change", *clouds, "--cell", "2", "--unit", "metre", "--json", "change.json")
+        assert code == 0, err
+        assert " m³" in out and "cubic units" not in out
+        check_text(out.splitlines()[-1])
+        assert json.loads((site / "change.json").read_text())["unit"] == "m"
+
+
 def test_one_survey_given_twice_gets_a_warning(site, run):
     code, out, err = run("change", "site_2020.xyz", "site_2020.xyz", "--cell", "2")
     assert code == 0, err
     assert "net +0 cubic units" in out
     assert "site_2020_2: all heights are those of site_2020: check that it is another survey" in out
+
+
+def test_voids_of_a_changed_area_get_a_warning(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(7)
+    for year, rise in ((2020, 0.0), (2021, 0.2), (2022, 3.0)):  # of half the site
+        places = rng.uniform(0, 40, (9_600, 2))
+        heights = rise * (places[:, 0] < 20) + rng.normal(0, 0.02, len(places))
+        write_cloud(f"site_{year}.ply", Cloud(np.column_stack([places, heights]), unit="m"))
+    code, out, err = run("change", "site_2020.ply", "site_2022.ply", "--cell", "1")
+    assert code == 0, err
+    (warning,) = (line for line in out.splitlines() if "cells without points" in line)
+    assert "would have about +" in check_text(warning) and " m³" in warning
+    for arguments in (("site_2022.ply", "--fill-voids"), ("site_2021.ply",)):
+        code, out, err = run("change", "site_2020.ply", *arguments, "--cell", "1")
+        assert code == 0, err
+        assert "cells without points" not in out
 
 
 def test_dates_may_be_years_as_in_names(site, run):
@@ -69,6 +97,8 @@ def test_errors_are_one_line(site, run):
     write_cloud("utm32.ply", Cloud(survey(0, 8, 200), crs="EPSG:32632", unit="m"))
     write_zones(site / "outside.geojson", {"away": (100, 100, 110, 110)})
     write_zones(site / "all.geojson", {"all": (1, 1, 9, 9)})
+    (site / "degrees.wkt").write_text("POLYGON((15 46.95,15.0002 46.95,15.0002 46.9502))")
+    (site / "utm33.wkt").write_text("SRID=32633;POLYGON((500000 5200000,500020 5200000,500020 5200020))")
     (site / "full").mkdir()
     (site / "full" / "notes.txt").write_text("mine")
     for arguments in (
@@ -78,6 +108,8 @@ def test_errors_are_one_line(site, run):
         ("utm32.ply", "utm33.ply"),
         ("degrees.ply", "degrees.ply"),
         ("geocentric.ply", "geocentric.ply"),
+        ("utm32.ply", "site_2020.xyz", "--unit", "ft"),
+        (*pair, "--unit", "deg"),
         (*pair, "--surface", "highest"),
         (*pair, "--cell", "0.0000001"),
         (*pair, "--cell", "0.01", "--memory", "500MB"),
@@ -93,6 +125,9 @@ def test_errors_are_one_line(site, run):
         (*pair, "--zones", "outside.geojson"),
         (*pair, "--zones", "all.geojson"),
         (*pair, "--stable", "outside.geojson"),
+        (*pair, "--stable", "degrees.wkt"),
+        ("utm32.ply", "utm32.ply", "--zones", "degrees.wkt"),
+        ("utm32.ply", "utm32.ply", "--stable", "utm33.wkt"),
         (*pair, "--out", "full"),
         (*pair, "--out", "."),
         (*pair, "--json", "site_2020.xyz"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pcbench.errors import InputError
-from pcbench.geometry.units import metres
+from pcbench.geometry.units import check_unit_option
 from pcbench.options import CLASSES_HELP, RETURNS_HELP, Bounds, OptionGroup, parse_integers, parse_returns, setting
 
 SURFACES = ("auto", "tin", "plane")
@@ -94,5 +94,4 @@ class CheckPointSettings:
         for name, value, choices in (("surface", self.surface, SURFACES), ("standard", self.standard, STANDARDS)):
             if value not in choices:
                 raise InputError(f"expected --{name} as {', '.join(choices)}, got {value!r}")
-        if self.unit is not None and metres(self.unit) is None:
-            raise InputError(f"expected --unit as a unit of length, such as m, ft or US-ft, got {self.unit!r}")
+        check_unit_option(self.unit)

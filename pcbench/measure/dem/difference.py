@@ -35,6 +35,7 @@ _COUNT_EDGES = (1, 2, 3, 5, 8, 15, 30, 10**9)
 _MIN_BIN_CELLS = 150
 _SIGNIFICANT_FACTOR = 1.25
 _FILLING_NEIGHBOURS, _FILLING_REACH = 8, 5.0
+_FILLED_AT_ONCE = 100_000  # voids, to limit memory
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,12 @@ class DemOfDifference:
     def measured(self) -> Mask:
         """The cells (H, W) that have a difference."""
         return np.isfinite(self.dz)
+
+    @property
+    def volume_in_voids(self) -> float:
+        """The volume that narrow voids would have if they were filled from the cells around them."""
+        dz, _, filled = _filled(self.dz, np.zeros_like(self.dz))
+        return float(dz[filled].sum()) * self.grid.cell_area
 
     @cached_property
     def sigma(self) -> FloatArray:
@@ -329,23 +336,28 @@ def _filled(dz: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray, 
 
     The variance of a filled cell is the mean variance of these cells and the variance between them.
     """
+    from scipy.ndimage import maximum_filter
     from scipy.spatial import KDTree
 
     measured = np.isfinite(dz)
-    tree = KDTree(np.argwhere(measured))
-    voids = np.argwhere(~measured)
-    count = min(_FILLING_NEIGHBOURS, int(np.count_nonzero(measured)))
-    queried = tree.query(voids, k=count, distance_upper_bound=_FILLING_REACH)
-    distances, rows = (np.reshape(values, (len(voids), count)) for values in queried)
-    near = np.isfinite(distances)
-    enough = near.sum(axis=1) >= min(3, count)
-    values, variances = np.append(dz[measured], 0.0), np.append(white[measured], 0.0)
-    total = np.maximum(near.sum(axis=1), 1)
-    means = (values[rows] * near).sum(axis=1) / total
-    between = (((values[rows] - means[:, None]) ** 2) * near).sum(axis=1) / total
+    reach = 2 * int(_FILLING_REACH) + 1  # side of a window
+    sources = measured & maximum_filter(~measured, reach)  # a survey with an outline has many cells far from both
+    voids = np.argwhere(~measured & maximum_filter(measured, reach))
+    tree = KDTree(np.argwhere(sources))
+    count = min(_FILLING_NEIGHBOURS, tree.n)
+    values, variances = np.append(dz[sources], 0.0), np.append(white[sources], 0.0)
     new_dz, new_white, filled = dz.copy(), white.copy(), np.zeros(dz.shape, dtype=bool)
-    places = tuple(voids[enough].T)
-    new_dz[places] = means[enough]
-    new_white[places] = ((variances[rows] * near).sum(axis=1) / total + between)[enough]
-    filled[places] = True
+    for start in range(0, len(voids), _FILLED_AT_ONCE):
+        some = voids[start : start + _FILLED_AT_ONCE]
+        queried = tree.query(some, k=count, distance_upper_bound=_FILLING_REACH)
+        distances, rows = (np.reshape(each, (len(some), count)) for each in queried)
+        near = np.isfinite(distances)
+        enough = near.sum(axis=1) >= min(3, count)
+        total = np.maximum(near.sum(axis=1), 1)
+        means = (values[rows] * near).sum(axis=1) / total
+        between = (((values[rows] - means[:, None]) ** 2) * near).sum(axis=1) / total
+        places = tuple(some[enough].T)
+        new_dz[places] = means[enough]
+        new_white[places] = ((variances[rows] * near).sum(axis=1) / total + between)[enough]
+        filled[places] = True
     return new_dz, new_white, filled

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.crs import check_heights, check_lengths, crs_name, same_crs, single_unit
-from pcbench.geometry.units import unit_key
+from pcbench.geometry.units import unit_key, unit_or_given
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes
 from pcbench.io.source import Source
@@ -111,11 +111,18 @@ class Epoch:
         return self.count / self.area
 
 
-def open_epoch(source: Source, name: str, day: date | None) -> Epoch:
+def open_epoch(source: Source, name: str, day: date | None, unit: str | None = None) -> Epoch:
     """Read the files of a survey once for its extent, its number of points and its warnings.
 
+    Args:
+        source: its files.
+        name: its name in tables.
+        day: its date, if known.
+        unit: unit of its coordinates, if its files state none.
+
     Raises:
-        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit or no heights.
+        InputError: a file is damaged, no point is left, or the coordinates are no lengths of one unit or no heights,
+            or the files state another unit than the given one.
     """
     cloud = source.pieces()
     check_heights(cloud.crs, str(source.path))
@@ -135,6 +142,7 @@ def open_epoch(source: Source, name: str, day: date | None) -> Epoch:
         single_unit(cloud.crs, mixed.append)
         if mixed:
             raise InputError(f"{source.path}: expected one unit, because volumes have one: {mixed[0]}")
+    cloud = replace(cloud, unit=unit_or_given(cloud.unit, unit, str(source.path)))
     if not (coverage.low < coverage.high)[:2].all():
         raise InputError(f"{source.path}: expected points that cover an area, got {coverage.count:,} on a line")
     return Epoch(name, source, day, cloud, coverage.count, coverage.low, coverage.high, coverage.area, tuple(warnings))

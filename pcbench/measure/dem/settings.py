@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pcbench.errors import InputError
+from pcbench.geometry.units import check_unit_option
 from pcbench.measure.dem.surface import GridMethod
 from pcbench.options import (
     CLASSES_HELP,
@@ -48,6 +49,7 @@ class ChangeSettings:
             terrain without visible change shows the errors, and nothing is subtracted.
         datum_sigma: standard deviation of the offset in height between two epochs, in the clouds' unit.
         zones: file with polygons, each of which gets its own volumes.
+        unit: unit of the coordinates, if the files of the clouds state none.
         classes: LAS classes to keep.
         returns: LAS returns to keep.
         profiles: lines x0, y0, x1, y1 along which the heights of the epochs are drawn.
@@ -106,6 +108,13 @@ class ChangeSettings:
         metavar="FILE",
         parse=lambda _, text: Path(text),
     )
+    unit: str | None = setting(
+        None,
+        "--unit",
+        "Unit of the clouds, such as m or US-ft, if they state none.",
+        metavar="UNIT",
+        group=OptionGroup.INPUT,
+    )
     classes: tuple[int, ...] | None = setting(
         None, "--classes", CLASSES_HELP, metavar="N,N,...", parse=parse_integers, group=OptionGroup.INPUT
     )
@@ -126,6 +135,7 @@ class ChangeSettings:
         for name in ("stable", "zones"):
             if isinstance(value := getattr(self, name), str):
                 object.__setattr__(self, name, Path(value))
+        check_unit_option(self.unit)
         if self.cell is not None and not (math.isfinite(self.cell) and self.cell > 0):
             raise InputError(f"expected the cell as a positive length, got {self.cell!r}")
         if not (math.isfinite(self.datum_sigma) and self.datum_sigma >= 0):

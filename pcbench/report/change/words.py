@@ -305,5 +305,7 @@ def extent_sentences(document: ChangeDocument) -> Iterator[str]:
 def system_sentence(document: ChangeDocument) -> str:
     """Return the coordinate system and the unit in one sentence."""
     crs = "unknown" if document.crs is None else crs_label(document.crs)
-    unit = document.unit or "unknown"
+    unit = document.unit or "unknown (--unit states it)"
+    if document.settings.get("unit") is not None:
+        unit += ", as given (--unit) where a cloud states none"
     return f"Coordinate system: {crs}; unit of lengths: {unit}."

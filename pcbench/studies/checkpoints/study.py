@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.units import metres
+from pcbench.geometry.units import unit_or_given
 from pcbench.io.check_points import CheckPoints, read_check_points
 from pcbench.io.contents import digest
 from pcbench.io.las_records import parse_filters
@@ -89,9 +89,8 @@ def run_checkpoints(
 def _study(
     source: Source, check_points: CheckPoints, around: CloudAround, settings: CheckPointSettings
 ) -> CheckPointStudy:
-    if settings.unit is not None and around.unit is not None and metres(settings.unit) != metres(around.unit):
-        raise InputError(f"{source.path}: the cloud states the unit {around.unit}: omit --unit {settings.unit}")
-    accuracy = assess(check_points, around.neighbors[0], settings, around.unit or settings.unit)
+    unit = unit_or_given(around.unit, settings.unit, str(source.path))
+    accuracy = assess(check_points, around.neighbors[0], settings, unit)
     if not accuracy.covered and accuracy.horizontal is None:
         reasons = f"{check_points.names[0]}: {accuracy.points[0].reason}"
         raise InputError(
