@@ -23,8 +23,10 @@ class Intrinsics:
     """Pinhole intrinsics with the distortion of a lens, in OpenCV's models.
 
     Args:
-        width, height: image size in pixels.
-        fx, fy, cx, cy: focal lengths and principal point in pixels.
+        width: width of the image in pixels.
+        height: height of the image in pixels.
+        fx, fy: focal length along x or y, in pixels.
+        cx, cy: coordinate of the principal point along x or y, in pixels.
         distortion: coefficients k1, k2, p1, p2 (Brown 1966; COLMAP's OPENCV), or these and k3, k4, k5, k6 (the rational
             model; COLMAP's FULL_OPENCV); of a fisheye lens k1, k2, k3, k4 (Kannala and Brandt 2006; COLMAP's
             OPENCV_FISHEYE).

@@ -32,6 +32,37 @@ def unit_of_length(length: float) -> str | None:
     return _SHORT_NAMES.get(round(length, 10))
 
 
+def check_unit_option(unit: str | None) -> None:
+    """Check a unit that the user states with --unit.
+
+    Raises:
+        InputError: it is no unit of length.
+    """
+    if unit is not None and metres(unit) is None:
+        raise InputError(f"expected --unit as a unit of length, such as m, ft or US-ft, got {unit!r}")
+
+
+def unit_or_given(stated: str | None, given: str | None, name: str) -> str | None:
+    """Return the unit that a cloud states, or else the one given with --unit; None if there is neither.
+
+    Args:
+        stated: unit that the cloud states.
+        given: unit of length that the user states.
+        name: path of the cloud, for the message.
+
+    Raises:
+        InputError: the two are different.
+    """
+    length = metres(given)
+    if length is None:
+        return stated
+    if stated is None:
+        return unit_of_length(length) or given
+    if metres(stated) != length:
+        raise InputError(f"{name}: the cloud states the unit {stated}: omit --unit {given}")
+    return stated
+
+
 def is_degree(unit: str | None) -> bool:
     """Return whether a unit is the degree."""
     return (unit or "").strip().lower() in _DEGREE_UNITS

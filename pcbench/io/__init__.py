@@ -1,4 +1,4 @@
-"""Read and write point clouds. The file extension selects the format, see `formats.CLOUDS`.
+"""Read and write point clouds. The file extension selects the format (see `formats.CLOUDS`).
 
 To add a format, write a module with its reader next to the others and add a line to `formats`.
 """

@@ -33,7 +33,9 @@ def main(*arguments: str) -> None:
                 compressed = file.read(sum(size for _, size in batch))
                 points = bytearray(sum(points for points, _ in batch) * record_bytes)
                 lazrs.decompress_points_with_chunk_table(compressed, record, points, batch)
-                sys.stdout.buffer.write(points)
+                rest = memoryview(points)
+                while rest:  # standard output is not buffered: a signal or a debugger may end a write early
+                    rest = rest[sys.stdout.buffer.write(rest) :]
 
 
 def clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:

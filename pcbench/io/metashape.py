@@ -213,15 +213,22 @@ def _lens(sensor: ET.Element) -> _Lens:
         if p1 or p2:
             raise InputError("expected a fisheye lens without p1 and p2, got some: undistort the photos first")
         focal = values["f"] * stretch, values["f"]
-        return _Lens(Intrinsics(width, height, *focal, *center, (k1, k2, k3, k4), fisheye=True), 0.0)
+        fisheye = Intrinsics(width, height, *focal, *center, (k1, k2, k3, k4), fisheye=True)
+        _check_corners(fisheye)
+        return _Lens(fisheye, 0.0)
     f, error = values["f"], 0.0
     if k4:
         corner = float(np.hypot(width / 2 + abs(values["cx"]), height / 2 + abs(values["cy"]))) / f
         (f, k1, k2, k3), error = _without_k4(values, corner)
     distortion = (k1, k2, p2, p1, k3, 0.0, 0.0, 0.0) if k3 else (k1, k2, p2, p1)
     intrinsics = Intrinsics(width, height, f * stretch, f, *center, distortion)
-    intrinsics.directions(np.array([[0.0, 0.0], [width, 0], [0, height], [width, height]]))  # is it folded?
+    _check_corners(intrinsics)
     return _Lens(intrinsics, error)
+
+
+def _check_corners(lens: Intrinsics) -> None:
+    """Raise an `InputError` if the distortion folds the image over before its corners."""
+    lens.directions(np.array([[0.0, 0.0], [lens.width, 0], [0, lens.height], [lens.width, lens.height]]))
 
 
 def _without_k4(values: Mapping[str, float], corner: float) -> tuple[tuple[float, float, float, float], float]:

@@ -259,7 +259,7 @@ def write_ply(path: Path, cloud: Cloud, warn: Warn) -> None:
         columns |= {name: cloud.colors[:, axis] for axis, name in enumerate(COLORS)}
     attributes = stored_attributes(cloud.attributes, "PLY", warn, reserved={*columns, *PACKED_COLORS})
     columns |= {name: _as_ply_type(values) for name, values in attributes.items()}
-    write_vertices(path, columns, {tag: text for tag, text in (("crs", cloud.crs), ("unit", cloud.unit)) if text})
+    write_vertices(path, columns, _tags(cloud))
 
 
 def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> None:
@@ -277,13 +277,13 @@ def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> Non
 
 
 def write_ply_mesh(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int, the unit as a comment line.
+    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int, crs and unit as comment lines.
 
     Raises:
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     columns: Columns = {name: mesh.vertices[:, axis] for axis, name in enumerate(XYZ)}
-    _write(path, columns, {"unit": mesh.unit} if mesh.unit else {}, mesh.faces)
+    _write(path, columns, _tags(mesh), mesh.faces)
 
 
 def _write(path: Path, columns: Columns, tags: Mapping[str, str], triangles: NDArray[Any] | None) -> None:
@@ -299,6 +299,10 @@ def _write(path: Path, columns: Columns, tags: Mapping[str, str], triangles: NDA
         file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
         for rows in (vertices, faces):
             file.write(rows.view(np.uint8).data)
+
+
+def _tags(shape: Cloud | Mesh) -> dict[str, str]:
+    return {tag: text for tag, text in (("crs", shape.crs), ("unit", shape.unit)) if text}
 
 
 def _one_line(text: str) -> str:

@@ -1,4 +1,4 @@
-"""TableLayout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
+"""Layout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WGS84 = "EPSG:4326"
 
 
 class TableLayout(NamedTuple):
-    """TableLayout of a file.
+    """Layout of a text table.
 
     Attributes:
         first: index of the first line of numbers.

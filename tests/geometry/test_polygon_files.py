@@ -14,6 +14,7 @@ from wording import check_error, check_text
 
 from pcbench import Cloud, parse_region
 from pcbench.errors import InputError
+from pcbench.geometry.crs import unnamed_grid
 from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Polygon, Union
@@ -129,6 +130,19 @@ def test_another_coordinate_system_is_refused(tmp_path, stated):
     path.write_text("SRID=32633;POLYGON((0 0,4 0,4 4))")
     with check_error():
         as_region(f"polygon:{path}", cloud)
+
+
+def test_longitudes_and_latitudes_beside_a_cloud_in_metres_are_refused(tmp_path):
+    import_or_skip("pyproj")
+    site = np.array([[500_000.0, 5_200_000.0, 300.0], [500_032.0, 5_200_020.0, 304.0]])
+    path = tmp_path / "p.geojson"
+    path.write_text(json.dumps(geojson("MultiPolygon", [[np.add([15.0, 46.95], np.array(SQUARE) * 1e-4).tolist()]])))
+    for cloud in (Cloud(site, crs="EPSG:32633"), Cloud(site), Cloud(site, crs=unnamed_grid("ft", "m"))):
+        with check_error():
+            as_region(f"polygon:{path}", cloud)
+    assert as_region(f"polygon:{path}", Cloud(site - site[0])) is not None  # near the origin, both may be metres
+    path.write_text(json.dumps(geojson("Polygon", [SQUARE])))  # 4 by 4 are no degrees of one site
+    assert as_region(f"polygon:{path}", Cloud(site)) is not None
 
 
 def test_the_text_of_a_polygon_is_its_file(tmp_path):

@@ -449,6 +449,23 @@ def test_decompressor_runs_on_windows(tmp_path, monkeypatch):
     assert len(read(tmp_path, las(0, 10, compress="chunks"))) == 10
 
 
+def test_decompressor_goes_on_after_an_interrupted_write(tmp_path, monkeypatch):
+    """A stopped process writes only a part to a pipe that is full."""
+    skip_without_lazrs()
+    expected = read(tmp_path, las(0, 500, compress="chunks")).points
+    worker = tmp_path / "worker.py"
+    worker.write_text(
+        "import os, sys\n"
+        "class Output:\n"
+        "    buffer = property(lambda self: self)\n"
+        "    def write(self, data):\n        return os.write(1, data[:999])\n"
+        "    def flush(self):\n        pass\n"
+        "sys.stdout = Output()\n" + Path(laz._WORKER).read_text()
+    )
+    monkeypatch.setattr(laz, "_WORKER", str(worker))
+    np.testing.assert_array_equal(read(tmp_path, las(0, 500, compress="chunks")).points, expected)
+
+
 def test_laz_is_read_from_any_script(tmp_path):
     """LAZ can be read by a script without a main guard, in a folder with modules of conflicting names."""
     skip_without_lazrs()

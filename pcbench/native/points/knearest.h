@@ -42,6 +42,9 @@ public:
 
 private:
     static constexpr uint64_t kNumberBits = kMostCandidates - 1;
+    // Added to each key, so that none is denormal: threads that flush denormal numbers to zero would lose the number of
+    // a candidate at distance 0.
+    static constexpr uint64_t kLeastNormal = uint64_t{1} << 52;
 
     // Writes the keys of the selected candidates of each query. The next one overwrites one that is not selected.
     void take_keys() {
@@ -54,7 +57,7 @@ private:
             for (int l = 0; l < kLanes; ++l) {
                 uint64_t key;
                 __builtin_memcpy(&key, squared_ + c * kLanes + l, sizeof key);
-                key = (key & ~kNumberBits) | c;
+                key = ((key & ~kNumberBits) | c) + kLeastNormal;
                 __builtin_memcpy(keys_ + next[l], &key, sizeof key);
                 next[l] += (selected >> l & 1) * kLanes;
             }
