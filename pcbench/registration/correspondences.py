@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, RegistrationError
 from pcbench.extras import require
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration import kiss_child
 from pcbench.scratch import scratch_folder
@@ -40,6 +40,9 @@ class FeaturePairs(NamedTuple):
 def match_features(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
     """Return the feature correspondences for each two clouds of cell means, in units of the cell side.
 
+    KISS-Matcher turns normals towards the origin, so that features depend on it. Each cloud is therefore centred at its
+    box: neither its unit nor its position changes the features.
+
     Args:
         clouds: candidate and reference points of each comparison, in cells.
 
@@ -47,20 +50,19 @@ def match_features(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
         MissingExtra: KISS-Matcher is not installed.
         RegistrationError: KISS-Matcher failed.
     """
+    arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
+    centers = {name: np.mean(bounds(part), axis=0) for name, part in arrays.items()}
     with scratch_folder() as folder:
         source, target = folder / "clouds.npz", folder / "pairs.npz"
-        arrays = {f"{name}{k}": part for k, two in enumerate(clouds) for name, part in two._asdict().items()}
-        np.savez(source, **arrays)
+        np.savez(source, **{name: part - centers[name] for name, part in arrays.items()})
         # One thread makes the matches reproducible; TBB and OpenMP both respect the CPU affinity.
         done = run_script(kiss_child.__file__, str(source), str(target), limits=Limits(one_cpu=True))
         if done.code:
             require("kiss_matcher")
             raise RegistrationError(f"KISS-Matcher failed: {done.last_error_line or f'exit code {done.code}'}")
         with np.load(target) as archive:
-            matches = [
-                [archive[f"{name}{k}"].astype(np.float64) for name in FeaturePairs._fields] for k in range(len(clouds))
-            ]
-    return [FeaturePairs(*two) for two in matches]
+            pairs = {name: archive[name].astype(np.float64) + center for name, center in centers.items()}
+    return [FeaturePairs(pairs[f"candidate{k}"], pairs[f"reference{k}"]) for k in range(len(clouds))]
 
 
 def likely_poses(pairs: FeaturePairs, count: int, *, with_scale: bool) -> list[Similarity]:

@@ -315,7 +315,7 @@ def assess_given(
     """
     surface = target.surface
     if target.spacing > 0:
-        start = max(target.extent / 500, target.spacing)
+        start = max(target.extent / 500, target.spacing) / T_local.scale
         sample = Index(points[voxel_downsample_to(points, _MAX_SAMPLE, start=start)])
     else:
         sample = Index(points[:_MAX_SAMPLE])

@@ -1,5 +1,6 @@
 """Unobservable motions are reported, and observable ones scatter as predicted."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,6 +51,7 @@ def test_a_missing_scale_is_reported(scene):
         assert len(texts) == (scale != 1)
         for text in texts:
             check_text(text)
+            assert float(re.search(r"about ([\d.]+):", text)[1]) == pytest.approx(scale, abs=5e-4)  # of one robust step
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
 

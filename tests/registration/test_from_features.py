@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +18,12 @@ from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import MissingExtra, RegistrationError
 from pcbench.extras import import_problem
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity, read_matrix
-from pcbench.registration import register
+from pcbench.registration import from_features, register
 from pcbench.registration.correspondences import FeaturePairs, likely_poses
+from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
@@ -67,13 +71,32 @@ def test_global_methods_find_any_pose(method, seed, overlap, scale):
 
 
 @needs_kiss
-def test_the_scale_is_found_from_any_pose():
-    """A small version of the test above."""
+def test_a_small_reconstruction_is_found_on_a_city_in_metres():
     reference, candidate = (shapes.city(count, noise=0.01, seed=count)[0] for count in (6_000, 3_000))
-    true_pose = random_pose(4, scale=0.1)
+    true_pose = random_pose(4, scale=1000.0)
     result = register(reference, true_pose.inverse().apply(candidate), "global-similarity")
     assert error(result.T_reference_candidate, true_pose, candidate) < 0.01  # the noise
     assert result.solved_scale and not result.doubtful
+
+
+@pytest.mark.parametrize("larger", ["candidate", "reference"])
+def test_the_overlap_is_that_of_the_cloud_that_overlaps_more(larger):
+    """The other cloud has as many points elsewhere; all distances are compared in the reference's unit."""
+    rng, pose = np.random.default_rng(4), random_pose(3, scale=3.0)
+    clouds = {name: rng.uniform(0, 10, (200, 3)) for name in ("candidate", "reference")}
+    other = "reference" if larger == "candidate" else "candidate"
+    clouds[other] = np.vstack([clouds[other], clouds[other] + 1000])
+    clouds["candidate"] = pose.inverse().apply(clouds["candidate"])
+    sides = {
+        name: SimpleNamespace(surface=Surface(Index(points)), sample=points, overlap_distance=distance)
+        for (name, points), distance in zip(clouds.items(), (0.3, 0.8), strict=True)
+    }
+    search = from_features._PoseSearch(sides["reference"], sides["candidate"], IcpSettings(with_scale=True))
+    moved = pose.apply(clouds["candidate"])
+    distances = np.linalg.norm(moved[:, None] - clouds["reference"], axis=2)
+    shares = [(distances.min(axis=axis) < 3.0 * 0.3).mean() for axis in (1, 0)]
+    assert max(shares) > 1.5 * min(shares)
+    assert search.overlap(pose) == max(shares)
 
 
 @needs_kiss

@@ -57,7 +57,7 @@ def test_a_mirrored_candidate_in_any_pose():
     import_or_skip("kiss_matcher")
     turn = Similarity(np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]), np.array([40.0, 30, 5]))
     with check_error(RegistrationError):
-        register(town(1, 2000), turn.apply(town(2, 2000) * [1, -1, 1]), "global")
+        register(town(3, 2000), turn.apply(town(4, 2000) * [1, -1, 1]), "global")
 
 
 def test_other_candidates_are_not_called_mirrored():
