@@ -19,6 +19,7 @@ class _Library(NamedTuple):
 LIBRARIES = {
     "PIL": _Library("pillow", "sfm"),
     "cuda": _Library("cuda-core", "cuda"),
+    "cv2": _Library("opencv-python-headless", ""),
     "distributed": _Library("distributed", "cluster"),
     "fricp_cpp": _Library("fricp-cpp", ""),
     "flip_evaluator": _Library("flip-evaluator", ""),

@@ -27,7 +27,7 @@ MIN_OPACITY_HELP = "Use only Gaussian splats of at least this opacity."
 MAX_AXIS_HELP = "Use only Gaussian splats whose largest standard deviation is at most this length."
 METRIC_HELP = (
     "Also compute your own metric: FILE.py:FUNCTION, MODULE:FUNCTION or an installed name (repeatable). Its code runs"
-    " with your rights."
+    " with your rights. fscore@T adds a threshold of the F-score."
 )
 VERTICES_HELP = "Measure a candidate mesh at its vertices, not at points sampled on its faces."
 

@@ -133,7 +133,7 @@ def to_candidate(
     if rounding is not None:
         normals = None
         if reference.has_normals:
-            normals = reference.surface.normals(np.maximum(match(proxies), 0))
+            normals = reference.surface.normals(reference.index.query(index.points[proxies]).indices)
         around = _shrink_to_surface(reference, index, others, match, error).mean(axis=1)
         places = _stored_anew(places, around, normals, rounding, reference.rounding, seed)
         others = _others_near(index, sampling, places, proxies)

@@ -147,8 +147,8 @@ def spreads(
     for row, name in enumerate(sampled):
         step = int(steps[row])
         total, alone = float(within[step, row]), float(within[0, row])
-        if not total > 0:
-            uncertainties[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
+        if not total > 0:  # equal values in all cells, or a single cell
+            uncertainties[name] = ScoreUncertainty(0.0, math.inf, 1 / float(pairs[0, 0]), 0.0)
             continue
         # Subtracting the mean removed a share of the products of pairs within the radius.
         variance = total / max(1 - float(pairs[step, 0]), _MIN_VARIANCE_SHARE)

@@ -10,8 +10,9 @@ the clouds themselves, and so does each function with that suffix. Nothing is re
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from os import PathLike
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ from pcbench.native import _core
 
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
 PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+_Named = TypeVar("_Named")
 
 
 class Distances(NamedTuple):
@@ -50,6 +52,22 @@ class FScore(NamedTuple):
     precision: float
     recall: float
     fscore: float
+
+
+def split_thresholds(metrics: Iterable[_Named]) -> tuple[tuple[_Named, ...], tuple[float, ...]]:
+    """Return the metrics without those named `fscore@T`, `precision@T` or `recall@T`, and the thresholds T of these.
+
+    Raises:
+        InputError: a threshold is not a length above 0.
+    """
+    others, thresholds = list[_Named](), list[float]()
+    for metric in metrics:
+        name, separator, text = metric.partition("@") if isinstance(metric, str) else ("", "", "")
+        if separator and name in FScore._fields[1:]:
+            thresholds.append(_named_threshold(name, text))
+        else:
+            others.append(metric)
+    return tuple(others), tuple(dict.fromkeys(thresholds))
 
 
 def plane_distances(
@@ -208,6 +226,16 @@ def fscore_between(candidate: Points, reference: Points, threshold: float) -> FS
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
     """Peak signal-to-noise ratio 10 log10(factor peak^2 / mse) in dB (MPEG: factor 3); None if undefined."""
     return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
+
+
+def _named_threshold(name: str, text: str) -> float:
+    try:
+        threshold = float(text)
+    except ValueError:
+        threshold = np.nan
+    if not 0 < threshold < np.inf:
+        raise InputError(f"expected a length above 0 behind {name}@, such as {name}@0.05, got {name + '@' + text!r}")
+    return threshold
 
 
 def _one_way(candidate: Points, reference: Points) -> FloatArray:

@@ -22,6 +22,7 @@ from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.io.named_code import CodeKind, code_file, error_summary
 from pcbench.measure.intervals import Interval
+from pcbench.measure.metrics import split_thresholds
 from pcbench.measure.protocols.protocol import Better, ProtocolScore
 from pcbench.measure.quantity import unit_name
 
@@ -31,7 +32,7 @@ FAILED_METRIC = "failed-metric"
 _NAME = re.compile(r"[A-Za-z_][\w-]{0,79}", re.ASCII)
 _INTERVALS = "ci"  # key of the intervals in comparison.json
 _MAX_VALUES = 1000
-_EXPECTED = "expected a metric as FILE.py:FUNCTION, MODULE:FUNCTION or the name of an installed one"
+_EXPECTED = "expected a metric as FILE.py:FUNCTION, MODULE:FUNCTION, the name of an installed one or fscore@THRESHOLD"
 
 
 class MetricValue(NamedTuple):
@@ -232,13 +233,27 @@ def check_metrics(given: Any) -> tuple[str | OwnMetric, ...]:
     Raises:
         InputError: a metric has no usable name, or two have the same one.
     """
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(f"expected metrics as several functions or texts, in a tuple or list, got {given!r}")
-    checked = tuple(metric if isinstance(metric, str) else OwnMetric.of(metric) for metric in given)
+    checked = tuple(metric if isinstance(metric, str) else OwnMetric.of(metric) for metric in _several(given))
     names = [metric_name(metric) for metric in checked]
     if twice := [name for k, name in enumerate(names) if name in names[:k]]:
         raise InputError(f"two metrics are called {twice[0]!r}: rename one of them")
     return checked
+
+
+def split_metrics(given: Any) -> tuple[tuple[str | OwnMetric, ...], tuple[float, ...]]:
+    """Return user-defined metrics as `check_metrics` does, and the thresholds of texts such as `fscore@0.05`.
+
+    Raises:
+        InputError: as `check_metrics`, or a threshold is not a length above 0.
+    """
+    others, thresholds = split_thresholds(_several(given))
+    return check_metrics(others), thresholds
+
+
+def _several(given: Any) -> Iterable[Any]:
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"expected metrics as several functions or texts, in a tuple or list, got {given!r}")
+    return given
 
 
 def measure_own(metrics: Sequence[OwnMetric], pair: MeasuredPair) -> OwnResults:

@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 from pcbench.changes import Changes
 from pcbench.deformation import Deformation
-from pcbench.errors import Notice
+from pcbench.errors import Notice, one_line
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.budget import D2Budget
 from pcbench.measure.checkpoints.accuracy import CandidateAccuracy, CloudAccuracy
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
-from pcbench.measure.own_metrics import OwnResult
+from pcbench.measure.own_metrics import FAILED_METRIC, OwnResult
 from pcbench.measure.presets import Preset
 from pcbench.registration import Registration
 
@@ -314,11 +314,22 @@ class Candidate:
         changed = self.changes is not None and bool(self.changes.found)
         return not changed and (self.budget is None or self.budget.accuracy.is_noise)
 
-    def __repr__(self) -> str:
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """The warnings of user-defined metrics that failed."""
+        return tuple(str(notice) for notice in self.warnings if notice.code == FAILED_METRIC)
+
+    @property
+    def summary(self) -> str:
+        """Its name, its distances and the verdict on its deformation, in one line."""
         off, distance = self.metrics.d2_rms.accuracy.value, self.metrics.mean_distance
         surface = "" if off is None else f"{off:.4g} RMS off the surface, "
         means = f"mean distance {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c"
         return f"<Candidate {self.name}: {surface}{means}, deformation {self.deformation.verdict}>"
+
+    def __repr__(self) -> str:
+        """Return the summary, and a line for each metric that failed."""
+        return "\n  ".join([self.summary, *(f"warning: {one_line(text)}" for text in self.failures)])
 
 
 class LeftOut(NamedTuple):

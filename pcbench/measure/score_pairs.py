@@ -22,7 +22,7 @@ from pcbench.geometry.neighbors import Index, Matches, match_both_directions
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.units import check_same_unit
 from pcbench.measure import metrics as definitions
-from pcbench.measure.metrics import FScore, Points
+from pcbench.measure.metrics import FScore, Points, split_thresholds
 from pcbench.native import one_kernel_thread
 from pcbench.systems import cpu_count
 
@@ -86,13 +86,15 @@ def score(
         candidate: the same.
         metrics: names of `METRICS`; None: all without tangent planes, whose normals take several times as long as the
             search. `d2_mse` and `d2_rms` use the normals of the reference, or estimate them from 20 neighbours.
+            `fscore@0.05` is `fscore` with this threshold besides `thresholds`, and so are `precision@0.05` and
+            `recall@0.05`, which are parts of it.
         thresholds: distance thresholds of `fscore`.
 
     Raises:
         InputError: an argument is not a cloud, the units of two clouds differ, a metric is unknown, or a threshold is
             missing or not positive.
     """
-    names = _checked_metrics(metrics, thresholds)
+    names, thresholds = _checked_metrics(metrics, thresholds)
     reference, candidate = _read(reference), _read(candidate)
     if isinstance(reference, Cloud) and isinstance(candidate, Cloud):
         check_same_unit(reference.unit, candidate.unit)
@@ -123,7 +125,7 @@ def score_many(
     Raises:
         InputError: as `score`; the message starts with the number of the pair, from 0.
     """
-    names = _checked_metrics(metrics, thresholds)
+    names, thresholds = _checked_metrics(metrics, thresholds)
     count = cpu_count() if threads is None else threads
     if count < 1:
         raise InputError(f"expected at least one thread, got {count}")
@@ -239,18 +241,27 @@ def _minus(points: FloatArray, origin: FloatArray) -> FloatArray:
     return shifted
 
 
-def _checked_metrics(metrics: Sequence[str] | str | None, thresholds: Sequence[float]) -> tuple[str, ...]:
+def _checked_metrics(
+    metrics: Sequence[str] | str | None, thresholds: Sequence[float]
+) -> tuple[tuple[str, ...], Sequence[float]]:
+    """Return the names of fields of `CloudScore`, and all thresholds."""
     if np.ndim(thresholds) != 1:
         raise InputError(f"expected thresholds as numbers such as (0.01, 0.02), got {thresholds!r}")
     if metrics is None:
-        return tuple(n for n in METRICS if n not in _PLANE_METRICS and (n != "fscore" or len(thresholds)))
-    names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
+        names = tuple(n for n in METRICS if n not in _PLANE_METRICS and (n != "fscore" or len(thresholds)))
+        return names, thresholds
+    names, named = split_thresholds((metrics,) if isinstance(metrics, str) else metrics)
+    if named:
+        names, thresholds = (*names, "fscore"), (*thresholds, *(t for t in named if t not in thresholds))
     if unknown := [name for name in names if name not in METRICS]:
         hint = did_you_mean(unknown[0], METRICS)
         raise InputError(f"unknown metric {unknown[0]!r}: expected one of {', '.join(METRICS)}{hint}")
     if "fscore" in names and not len(thresholds):
-        raise InputError("fscore: expected thresholds=(...), the distances within which points count, got none")
-    return names
+        raise InputError(
+            "fscore: expected thresholds=(...), the distances within which points count, or one in the name such as"
+            " fscore@0.05, got none"
+        )
+    return names, thresholds
 
 
 def _read(given: Points) -> Points:

@@ -21,7 +21,7 @@ from pcbench.io.check_points import read_check_points
 from pcbench.io.named_code import code_file
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
-from pcbench.measure.own_metrics import MetricFunction, OwnMetric, check_metrics, installed_metrics
+from pcbench.measure.own_metrics import MetricFunction, OwnMetric, check_metrics, installed_metrics, split_metrics
 from pcbench.options import (
     CLASSES_HELP,
     CROP_HELP,
@@ -82,7 +82,7 @@ class Settings:
         checkpoints: file of check points, in the coordinates of the reference, by which the accuracy of all clouds is
             tested, see `pcbench.io.check_points`.
         metrics: user-defined metrics: functions of a `pcbench.measure.own_metrics.MeasuredPair`, or their texts such as
-            `FILE.py:function`.
+            `FILE.py:function`; `fscore@0.05` adds 0.05 to `thresholds` instead.
         deformation: whether to test the candidates for deformation, which takes up to a third of the time in large
             clouds and more than half of it in small ones.
     """
@@ -219,7 +219,7 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "metrics", check_metrics(self.metrics))
+        metrics, thresholds = split_metrics(self.metrics)
         if self.checkpoints is not None:
             object.__setattr__(self, "checkpoints", str(self.checkpoints))
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -229,7 +229,9 @@ class Settings:
         if not isinstance(self.crop, Region | str):
             raise InputError(f"expected crop as a region or as text, got {self.crop!r}")
         if self.thresholds is not None:
-            object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
+            thresholds = (*_positive(self.thresholds), *thresholds)
+        object.__setattr__(self, "metrics", metrics)
+        object.__setattr__(self, "thresholds", tuple(dict.fromkeys(thresholds)) or None)
         if not _is_integer(self.seed) or self.seed < 0:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
         if not _is_integer(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:

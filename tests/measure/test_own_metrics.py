@@ -30,6 +30,7 @@ from pcbench.measure.own_metrics import (
 from pcbench.report import document, html, markdown
 from pcbench.report.exports import TABLES
 from pcbench.report.folder import read_settings
+from pcbench.report.notes import warnings
 
 OFFSET = np.array([4e5, 5e6, 100.0])
 
@@ -132,6 +133,9 @@ def test_a_metric_that_fails_is_missing_with_a_warning(comparison):
     line = broken.__code__.co_firstlineno + 1
     assert notice.text.endswith(f"({__file__}, line {line})")
     check_text(notice.text.replace(__file__, "FILE"))
+    assert str(comparison["a"]).splitlines()[1:] == [f"  warning: {notice.text}"]
+    assert str(comparison).splitlines()[2:] == [f"  warning: a: {notice.text}"]
+    assert f"a: {notice.text}" in warnings(comparison)  # as on the command line
 
 
 def returns(value):
@@ -161,18 +165,18 @@ def raises(error):
     ],
 )
 def test_what_a_metric_may_not_do_is_a_warning(clouds, function):
-    results, warnings = own_metrics_between([OwnMetric("own", "here:own", function)], clouds[1], clouds[0])
+    results, notices = own_metrics_between([OwnMetric("own", "here:own", function)], clouds[1], clouds[0])
     assert (results["own"].values, results["own"].value) == ({}, None)
-    (notice,) = warnings
+    (notice,) = notices
     assert notice.text.startswith("the metric own is missing: ")
     assert f"({__file__}, line " in notice.text or "positional argument" in notice.text
 
 
 @pytest.mark.parametrize("value", [1, 1.5, np.float32(1.5), np.int64(3), Fraction(1, 2), MetricValue(0.5)])
 def test_numbers_of_all_kinds_are_values(clouds, value):
-    results, warnings = own_metrics_between([OwnMetric("own", "here:own", returns(value))], *clouds)
+    results, notices = own_metrics_between([OwnMetric("own", "here:own", returns(value))], *clouds)
     expected = value.value if isinstance(value, MetricValue) else value
-    assert (results["own"].value, warnings) == (float(expected), ())
+    assert (results["own"].value, notices) == (float(expected), ())
 
 
 def test_values_are_scores_of_a_protocol(clouds):
@@ -246,10 +250,17 @@ def test_other_metrics_are_refused(own, given):
         OwnMetric.of(given)
 
 
-@pytest.mark.parametrize("metrics", [(mean, mean), ("own.py:mean", mean), ("a.py:x", "b.py:x"), "own.py:one", 3])
+@pytest.mark.parametrize(
+    "metrics", [(mean, mean), ("own.py:mean", mean), ("a.py:x", "b.py:x"), "own.py:one", 3, ("recall@x",)]
+)
 def test_names_are_different(metrics):
     with check_error():
         Settings(metrics=metrics)
+
+
+def test_a_threshold_in_a_name_is_one_of_the_settings():
+    assert Settings(metrics=("fscore@0.2", mean)) == Settings(metrics=(mean,), thresholds=(0.2,))
+    assert Settings(metrics=("fscore@0.2", "recall@0.1"), thresholds=(0.1,)).thresholds == (0.1, 0.2)
 
 
 def test_the_file_of_two_metrics_is_one_input():

@@ -124,6 +124,14 @@ def test_values_have_a_name_each():
     ]
 
 
+@pytest.mark.parametrize("name", ["fscore@0.2", "precision@0.2", "recall@2e-1"])
+def test_a_name_may_have_a_threshold(name):
+    pair = clouds()
+    expected = pcbench.score(*pair, metrics=("hausdorff", "fscore"), thresholds=(0.1, 0.2))
+    assert pcbench.score(*pair, metrics=("fscore@0.1", "hausdorff", name)) == expected
+    assert pcbench.score_many([pair], metrics=["hausdorff", name], thresholds=np.array([0.1])) == [expected]
+
+
 def test_many_pairs_have_the_scores_of_each():
     pairs = [clouds(seed, 60) for seed in range(9)]
     expected = [pcbench.score(*pair) for pair in pairs]
@@ -134,9 +142,9 @@ def test_many_pairs_have_the_scores_of_each():
 
 def test_errors_name_the_argument_and_the_pair():
     reference, candidate = clouds()
-    for metrics, thresholds in (("chamfers", ()), (("fscore",), ()), (None, (0.0,))):
+    for metrics in ("chamfers", ("fscore",), "fscore@-1", "chamfer@1"):
         with check_error():
-            pcbench.score(reference, candidate, metrics, thresholds)
+            pcbench.score(reference, candidate, metrics)
     for wrong in (
         candidate[:, :2],
         np.full((3, 3), np.nan),
@@ -153,8 +161,9 @@ def test_errors_name_the_argument_and_the_pair():
         pcbench.score_many([(reference, candidate)], threads=0)
     with check_error():
         pcbench.score_many([reference, candidate])
-    with check_error():
-        pcbench.score(reference, candidate, thresholds=0.1)
+    for thresholds in (0.1, (0.0,)):
+        with check_error():
+            pcbench.score(reference, candidate, thresholds=thresholds)
     with check_error():
         pcbench.score(pcbench.Cloud(reference, unit="m"), pcbench.Cloud(candidate, unit="mm"))
 

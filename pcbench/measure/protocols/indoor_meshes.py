@@ -19,6 +19,7 @@ from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import MAX_SAMPLES, vertex_cloud
 from pcbench.geometry.neighbors import Index, match_both_directions
+from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.geometry.units import metres
 from pcbench.geometry.voxels import cell_means
@@ -103,6 +104,7 @@ class IndoorMeshes:
             self._sampling_note("reference", reference, pair.reference, inputs.seed + 1),
         ]
         if inputs.crop is not None:
+            as_region(inputs.crop, pair.reference)  # refuses polygons in another coordinate system
             pair = _SampledPair(*(_crop(cloud, inputs.crop, f"the {name}'s") for name, cloud in pair._asdict().items()))
             notes.append(f"both are cropped to {inputs.crop.describe()}")
         inputs.on_step("measuring distances")

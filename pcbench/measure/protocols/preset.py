@@ -22,6 +22,7 @@ from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import REFERENCE_SAMPLES, sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import NeighborRange
 from pcbench.geometry.transform import Similarity
@@ -304,7 +305,8 @@ class _PosedPair(NamedTuple):
         """Read both shapes, sample meshes, and apply the pose.
 
         Raises:
-            InputError: a file cannot be read, its coordinates are degrees, or the files have different units.
+            InputError: a file cannot be read, its coordinates are degrees, the files have different units, or the
+                polygons of the region are in another coordinate system.
         """
         notes: list[str] = []
         inputs.on_step("reading the clouds")
@@ -320,7 +322,8 @@ class _PosedPair(NamedTuple):
         if isinstance(shape, Mesh):
             notes.append(str(sampling_notice(shape, len(cloud), inputs.seed, scale=pose.scale)))
         moved = cloud.points if inputs.pose is None else pose.apply(cloud.points)
-        return cls(reference, moved - reference.origin, inputs.crop, reference.cloud.unit or "", tuple(notes))
+        region = None if inputs.crop is None else as_region(inputs.crop, reference.cloud)
+        return cls(reference, moved - reference.origin, region, reference.cloud.unit or "", tuple(notes))
 
     def rows_inside(self) -> tuple[IntArray, IntArray]:
         """Return the indices of the candidate's and of the reference's points inside the region, or of all.

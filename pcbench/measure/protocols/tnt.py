@@ -85,7 +85,7 @@ class TanksAndTemples:
         reference = vertex_cloud(to_shape(_reference(inputs)))
         candidate, notes = self._candidate(to_shape(inputs.candidate), reference, inputs.seed)
         inputs.on_step("registering")
-        volume = inputs.crop or _scene(inputs).crop_volume()
+        volume = _volume(inputs)
         placement = self._place(inputs, threshold, volume, reference.points, candidate)
         inputs.on_step("measuring distances")
         moved = placement.pose.apply(candidate)
@@ -94,8 +94,10 @@ class TanksAndTemples:
         if all(map(len, inside)):
             scores, sizes = tnt_fscore(inside[0], inside[1], threshold)
         else:
+            where = "the crop volume of the scene" if inputs.crop is None else "the region of --crop"
+            remedy = "give the region with --crop" if inputs.crop is None else "check --crop"
             notes.append(
-                "no point of the reference or of the candidate is in the crop volume, so that all scores are 0"
+                f"no point of the reference or of the candidate is in {where}, so that all scores are 0: {remedy}"
             )
         counts = {"reference_points": sizes[0], "candidate_points": sizes[1], "scale": placement.pose.scale}
         return Evaluation(
@@ -137,7 +139,7 @@ class TanksAndTemples:
         """Return the pose of the candidate's points on the reference's."""
         if inputs.pose is not None:
             return _Placement(inputs.pose, "in the given pose, which is not refined", {})
-        scene, trajectory = _scene(inputs), self._trajectory_file(inputs)
+        scene, trajectory = _scene(inputs, "the pose with --register"), self._trajectory_file(inputs)
         if trajectory is None:
             pose, how = scene.scan_from_sfm(), f"placed by {scene.path('_trans.txt').name}"
             counts: dict[str, int] = {}
@@ -175,11 +177,31 @@ def _scene_name(inputs: EvaluationInputs) -> str:
     return name
 
 
-def _scene(inputs: EvaluationInputs) -> TntScene:
+def _scene(inputs: EvaluationInputs, instead: str = "the path of its scan") -> TntScene:
+    """Return the scene of the inputs; the error says what may be given instead of its files."""
     folders = [] if inputs.data is None else [inputs.data]
     if isinstance(inputs.reference, Path):
         folders.append(inputs.reference if inputs.reference.is_dir() else inputs.reference.parent)
-    return TntScene.find(folders, _scene_name(inputs))
+    name = _scene_name(inputs)
+    try:
+        return TntScene.find(folders, name)
+    except InputError as error:
+        raise InputError(f"{error} with --protocol-data, or give {instead}") from None
+
+
+def _volume(inputs: EvaluationInputs) -> Region:
+    """Return the region that is evaluated: the given one, or else the crop volume of the scene.
+
+    Raises:
+        InputError: none is given, and the files of the scene are missing or unusable.
+    """
+    if inputs.crop is not None:
+        return inputs.crop
+    scene = _scene(inputs, "the region with --crop" + (" and the pose with --register" if inputs.pose is None else ""))
+    try:
+        return scene.crop_volume()
+    except InputError as error:
+        raise InputError(f"{error}; or give the region with --crop") from None
 
 
 def _reference(inputs: EvaluationInputs) -> Shape:

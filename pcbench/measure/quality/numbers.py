@@ -309,7 +309,7 @@ def _sheet_numbers(walls: DoubleWalls | None, length: str) -> _Numbers:
         f"{length}²",
         better="lower",
         is_count=True,
-        definition="Area of the double walls: half of the voxels that their places fill, roughly.",
+        definition="Area of the double walls, roughly: of the cells that their places fill, each pair of sheets once.",
     )
 
 

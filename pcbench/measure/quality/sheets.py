@@ -6,7 +6,7 @@ heights above the plane through them. They are two sheets if
 - the split of the heights with the largest variance between both parts (Otsu 1979) leaves parts whose means are more
   than 4.5 of their standard deviations apart (Ashman et al. 1994, eq. 4: D > 4.5 where a flat distribution has 3.5),
   and few points lie between them,
-- both parts lie around the place and not side by side, as those of a step do, and
+- both parts lie around the middle of the place and not side by side, as those of a step or of roofs and ground do, and
 - a group of neighbouring places agrees in the normal and in the distance.
 
 A board or thin wall that was scanned from both sides looks the same. Where the file has normals, sheets that face
@@ -36,6 +36,8 @@ _MIN_D, _MAX_VALLEY = 4.5, 0.35
 _MIN_PART_SHARE, _MIN_PART_POINTS = 0.15, 6
 _MIN_STEPS = 3.0  # in which coordinates are rounded: rounding makes sheets one step apart
 _MIN_QUADRANTS = 3  # around the place, in which both sheets have points
+_INNER_SHARE = 2 / 3  # of the radius, within which these points lie
+_PLACES_PER_RADIUS = 3  # along an axis, beyond the first radius: a wall of a room has few places one radius apart
 _MIN_BREADTH = 0.15  # second over first eigenvalue: points along a line have less
 _MAX_WIDTH_SHARE = 0.12  # standard deviation of a sheet over the radius
 _LINK_RADII, _MAX_LINK_ANGLE_DEG, _MAX_LINK_RATIO = 3.0, 15.0, 1.3
@@ -113,13 +115,14 @@ def double_walls(
     limit = SEPARATION_SPACINGS * spacing if max_separation is None else max_separation
     first = max(_RADIUS_SPACINGS * spacing, 0.05 * limit)
     radii = [first * 2**k for k in range(_scales(first, limit))]
+    edges = [first, *(radius / _PLACES_PER_RADIUS for radius in radii[1:])]  # of the cells with one place each
     parts, tested = list[_Sheets](), 0
-    for radius in radii:
-        seeds = seeds_of(index.points, radius, seed)
+    for radius, edge in zip(radii, edges, strict=True):
+        seeds = seeds_of(index.points, edge, seed)
         sheets, number = _sheets_around(index, seeds, radius, step, seed, normals)
         tested += number
         parts.append(sheets.select(sheets.separations <= limit))
-    walls, members = _walls(parts)
+    walls, members = _walls(parts, edges)
     groups = [sheets.select(rows) for sheets, rows in members]
     if not groups:
         return DoubleWalls((), None, limit, tested, np.empty((0, 3)), np.empty(0))
@@ -181,8 +184,9 @@ def _split(
     position = (heights - middles[0][groups.of_row]) / np.maximum(separations, 1e-300)[groups.of_row]
     between = groups.sums(((position > 1 / 3) & (position < 2 / 3)).astype(np.float64)) * 3
     within = groups.sums(((position >= 0) & (position <= 1)).astype(np.float64))
-    sides = np.stack([groups.along(centred, axes[:, :, k]) >= 0 for k in (1, 2)])
-    quadrants = [_quadrants(groups, sides[0], sides[1], part) for part in (upper, ~upper)]
+    across = [groups.along(offsets, axes[:, :, k]) for k in (1, 2)]
+    inner = np.hypot(*across) < _INNER_SHARE * radius
+    quadrants = [_quadrants(groups, across[0] >= 0, across[1] >= 0, part & inner) for part in (upper, ~upper)]
     smaller = counts.min(axis=0)
     is_double = (
         (smaller >= np.maximum(_MIN_PART_SHARE * groups.counts, _MIN_PART_POINTS))
@@ -243,10 +247,12 @@ def _part_means(groups: PointGroups, offsets: FloatArray, upper: NDArray[np.bool
     return means
 
 
-def _walls(scales: list[_Sheets]) -> tuple[list[DoubleWall], list[tuple[_Sheets, NDArray[np.bool_]]]]:
+def _walls(
+    scales: list[_Sheets], edges: list[float]
+) -> tuple[list[DoubleWall], list[tuple[_Sheets, NDArray[np.bool_]]]]:
     """Group places that agree, at each radius; a place near a wall of a smaller radius belongs to that one."""
     walls, members, nearer = list[DoubleWall](), list[tuple[_Sheets, NDArray[np.bool_]]](), list[_Sheets]()
-    for sheets in scales:
+    for sheets, edge in zip(scales, edges, strict=True):
         for other in nearer:
             if len(sheets.places):
                 is_new = Index(other.places).query(sheets.places).distances > 2 * sheets.radii
@@ -257,11 +263,10 @@ def _walls(scales: list[_Sheets]) -> tuple[list[DoubleWall], list[tuple[_Sheets,
             rows = labels == label
             counted |= rows
             centre = np.median(sheets.places[rows], axis=0)
-            separation, radius = float(np.median(sheets.separations[rows])), float(sheets.radii[0])
-            number = int(rows.sum())
+            separation, number = float(np.median(sheets.separations[rows])), int(rows.sum())
             x, y, z = map(float, centre)
-            # Both sheets have places, one for each voxel with the radius as edge.
-            walls.append(DoubleWall((x, y, z), separation, number, 0.5 * number * radius**2))
+            cells = 1 + min(separation / edge, 1.0)  # on average, that both sheets fill at a place
+            walls.append(DoubleWall((x, y, z), separation, number, number * edge**2 / cells))
         if counted.any():
             members.append((sheets, counted))
             nearer.append(sheets.select(counted))

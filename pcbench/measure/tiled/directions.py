@@ -13,7 +13,7 @@ import numpy as np
 
 from pcbench.deformation.polynomials import whole_normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.regions import Region
+from pcbench.geometry.regions import Mask, Region
 from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
 from pcbench.measure.deviation import Spread
@@ -39,7 +39,7 @@ class TiledPair:
     """A reference and an aligned candidate in tiles, with all that the tasks of a candidate have in common.
 
     Attributes:
-        reference: tiles of the reference, with normals.
+        reference: tiles of the reference, with normals if it has any.
         candidate: tiles of the aligned candidate.
         forth: folder for the distances of the candidate's points.
         back: folder for the distances of the reference's points.
@@ -66,6 +66,11 @@ class TiledPair:
     pixels: PixelGrid | None
     frame: FitFrame | None
     labels: tuple[PointLabels, PointLabels]
+
+    @property
+    def has_normals(self) -> bool:
+        """Return whether the reference has normals; one or two points have only given ones."""
+        return self.reference.has_column(self.reference.normals)
 
 
 class DistanceSums(NamedTuple):
@@ -205,11 +210,13 @@ def measure_candidate_tile(file: Path, key: str, number: int, region: Region | N
     points, rows, inside = _queries(pair.candidate, number, region)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
-    normals = matches.column(pair.reference, pair.reference.normals)[:, 0]
+    normals = np.full(points.shape, np.nan)
+    if pair.has_normals:
+        normals = matches.column(pair.reference, pair.reference.normals)[:, 0]
     planes = plane_distances(points, closest, normals)
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
-    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes, np.isnan(closest[:, 0]))
     budget = _budget_sums(pair, planes, closest, normals, pair.labels[0], points)
     return _store(pair, pair.forth, number, inside, distances, along_upward_normals(planes, normals), budget)
 
@@ -223,11 +230,13 @@ def measure_reference_tile(file: Path, key: str, number: int, region: Region | N
     points, rows, inside = _queries(pair.reference, number, region)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
     closest = matches.column(pair.candidate, "points")[:, 0]
-    normals = pair.reference.load(number, pair.reference.normals)
-    normals = normals if inside is None else normals[inside]
+    normals = np.full(points.shape, np.nan)
+    if pair.has_normals:
+        normals = pair.reference.load(number, pair.reference.normals)
+        normals = normals if inside is None else normals[inside]
     planes = plane_distances(points, closest, normals)
     cells = pair.grid.cells_of(points)
-    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    distances = _Distances(points, rows, cells, matches.distances[:, 0], planes, np.isnan(closest[:, 0]))
     budget = _budget_sums(pair, planes, points, normals, pair.labels[1], points)
     # The queries are the reference's points: below the candidate, their distance to it is negative.
     return _store(pair, pair.back, number, inside, distances, -along_upward_normals(planes, normals), budget)
@@ -263,7 +272,8 @@ class _Distances(NamedTuple):
     rows: IntArray  # (n,)
     cells: IntArray  # (n,) correlation cells
     to_points: FloatArray  # (n,)
-    to_planes: FloatArray  # (n,)
+    to_planes: FloatArray  # (n,); NaN: unknown
+    is_censored: Mask  # (n,) whether there is no closest point within the maximum distance
 
 
 def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[FloatArray, IntArray, IntArray | None]:
@@ -299,17 +309,20 @@ def _store(
     save_column(folder, number, PLANE_DISTANCE, distances.to_planes)
     if inside is not None:
         save_column(folder, number, MEASURED, inside)
-    is_censored = np.isnan(distances.to_planes) if pair.max_distance < np.inf else np.zeros(len(distances.rows), bool)
-    distances = distances._replace(to_planes=np.where(is_censored, 0.0, distances.to_planes))
+    to_planes = np.where(np.isnan(distances.to_planes), 0.0, distances.to_planes)
     totals = DirectionTotals.of(
-        *distances,
+        distances.points,
+        distances.rows,
+        distances.cells,
+        distances.to_points,
+        to_planes if pair.has_normals else None,
         thresholds=pair.thresholds,
         voxel=pair.voxel,
         corner=pair.corner,
-        is_censored=is_censored,
+        is_censored=distances.is_censored,
     )
-    is_near = (distances.to_points <= pair.overlap_distance) & ~is_censored
-    near = GroupSums.of(None, {"square": np.square(distances.to_planes[is_near])})
+    is_near = (distances.to_points <= pair.overlap_distance) & ~distances.is_censored
+    near = GroupSums.of(None, {"square": np.square(to_planes[is_near])})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, distances.points, distances.to_points, signed)
-    squares = GroupSums.of(budget.labels, {"square": np.square(distances.to_planes)})
+    squares = GroupSums.of(budget.labels, {"square": np.square(to_planes)})
     return DistanceSums(totals, near, pixels, squares, budget.sums)

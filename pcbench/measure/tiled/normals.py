@@ -15,9 +15,10 @@ from pcbench.geometry.sampling import COINCIDENT_NEIGHBORS, PROFILE_NEIGHBORS, p
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles
-from pcbench.measure.tiled.tiles import NORMALS, VARIATIONS, WIDE_NORMALS, TiledCloud
+from pcbench.measure.tiled.tiles import GIVEN_NORMALS, NORMALS, VARIATIONS, WIDE_NORMALS, TiledCloud
 from pcbench.tasks.results import read_shared
 
+MIN_PLANE_POINTS = 3
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
 _MAX_HALO = 4  # points around a tile per point of it: scattered points have a wide halo, and dense neighbours
 _FEW_POINTS = 20_000  # which any halo may have
@@ -32,17 +33,21 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     the nearest point at another position, without those of points that occur more than seven times. The profile (P, K)
     has the distances of some points to K neighbours, see `pcbench.geometry.sampling`.
 
+    Clouds of one or two points have no variation, and no normals unless these are given for all points.
+
     Args:
         file: the shared `TiledCloud` of the cloud, with at least k points.
         key: identifies its content.
         number: number of the tile.
-        k: number of neighbours, the point itself included, at least 3.
+        k: number of neighbours, the point itself included, at least 3 unless the cloud has fewer points.
 
     Returns:
         The histogram of the spacings.
     """
     cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
+    if cloud.count < MIN_PLANE_POINTS:
+        return _add_to_few(cloud, number, points)
     around = _Surroundings.of(cloud, number, k)
     planes = _local_planes(cloud, number, points, around, k)
     _save_planes(cloud, number, NORMALS, planes)
@@ -54,6 +59,19 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
         near = nearest_in_tiles(points[some], cloud, min(COINCIDENT_NEIGHBORS, int(cloud.counts.sum()))).distances
         distances[some] = np.where(near > 0, near, np.inf).min(axis=1)
     spacings = distances[np.isfinite(distances)]
+    save_column(cloud.folder, number, "spacings", spacings)
+    return BitHistogram.of(spacings)
+
+
+def _add_to_few(cloud: TiledCloud, number: int, points: FloatArray) -> BitHistogram:
+    """Store the columns of `add_normals` for points (N, 3) of a cloud that has too few for a plane."""
+    if cloud.has_column(GIVEN_NORMALS):
+        given = [cloud.load(tile, GIVEN_NORMALS) for tile in cloud.occupied]
+        if not any(np.isnan(normals).any() for normals in given):
+            save_column(cloud.folder, number, NORMALS, cloud.load(number, GIVEN_NORMALS))
+    others = nearest_in_tiles(points, cloud, cloud.count).distances[:, 1:]
+    save_column(cloud.folder, number, "profile", others)
+    spacings = others[others > 0]
     save_column(cloud.folder, number, "spacings", spacings)
     return BitHistogram.of(spacings)
 
@@ -83,8 +101,8 @@ def _save_planes(cloud: TiledCloud, number: int, column: str, planes: _Planes) -
     """Store the surface variation of a tile, and its normals: those given with the cloud where there are any."""
     save_column(cloud.folder, number, VARIATIONS[column], planes.variation.astype(np.float32))  # as in memory
     directions = planes.normals
-    if cloud.file(number, "given_normals").exists():
-        given = cloud.load(number, "given_normals")
+    if cloud.file(number, GIVEN_NORMALS).exists():
+        given = cloud.load(number, GIVEN_NORMALS)
         directions = np.where(np.isnan(given[:, :1]), directions, given)
     save_column(cloud.folder, number, column, directions)
 

@@ -18,7 +18,7 @@ from pcbench.measure.tiled import windows
 from pcbench.measure.tiled.assessment import AlignedCloud
 from pcbench.measure.tiled.even import Picker, PlacedRuns, even_points
 from pcbench.measure.tiled.nearby import TiledIndex
-from pcbench.measure.tiled.normals import add_normals, add_wide_normals
+from pcbench.measure.tiled.normals import MIN_PLANE_POINTS, add_normals, add_wide_normals
 from pcbench.measure.tiled.ranks import BitHistogram, median
 from pcbench.measure.tiled.steps import REFERENCE, Steps, tile_tasks
 from pcbench.measure.tiled.stored import StoredCloud
@@ -77,10 +77,6 @@ class TiledReference:
 
 def prepare_reference(steps: Steps, cloud: StoredCloud, *, are_small: bool) -> TiledReference:
     """Cut the reference into tiles, compute its normals and its spacing, and prepare its sample."""
-    if cloud.count < 3:
-        raise InputError(
-            f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
-        )
     origin = local_origin_of_box(cloud.low, cloud.high, cloud.even)
     crop = steps.settings.crop
     if isinstance(crop, str) and crop.strip().lower() == "reference":
@@ -137,6 +133,8 @@ def _add_normals(steps: Steps, tiles: TiledCloud) -> tuple[float, TiledCloud]:
     histogram = BitHistogram.merge(histograms)
     files = [tiles.file(number, "spacings") for number in tiles.occupied]
     nearest = median(files, histogram, map_files=steps.file_map("spacing")) if histogram.count else 0.0
+    if count < MIN_PLANE_POINTS:
+        return nearest, tiles
     profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
     sampling = sampling_of_profile(nearest, profile, count)
     wide = min(sampling.plane_neighbors(steps.settings.normal_neighbors), count)

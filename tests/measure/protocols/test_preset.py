@@ -8,6 +8,7 @@ from wording import check_error, check_text
 
 import pcbench
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.polygon_files import read_polygon
 from pcbench.geometry.sampling import NeighborRange
 from pcbench.measure import presets
 from pcbench.measure.protocols.protocol import EvaluationInputs
@@ -128,6 +129,13 @@ def test_settings_and_regions_are_checked(pair):
             parse_protocol(text)
     with check_error():
         parse_protocol("pcbench").evaluate(EvaluationInputs(*pair, crop=pcbench.Box([9, 9, 9], [10, 10, 10])))
+
+
+def test_polygons_in_degrees_are_refused(pair, tmp_path):
+    (tmp_path / "p.wkt").write_text("POLYGON((15 46.9,15.1 46.9,15.1 47))")
+    site = [replace(cloud, points=cloud.points + [500_000, 5_200_000, 0]) for cloud in pair]
+    with check_error():
+        parse_protocol("pcbench").evaluate(EvaluationInputs(*site, crop=read_polygon(tmp_path / "p.wkt")))
 
 
 def test_different_units_are_refused_without_a_pose():

@@ -120,9 +120,11 @@ def test_a_mesh_may_be_its_vertices_and_centroids(scene, points, count):
 
 
 def test_a_candidate_outside_the_volume_has_zero_scores(scene):
-    found = TanksAndTemples(0.4).evaluate(replace(scene, candidate=Cloud(np.ones((5, 3)) * 1e6), pose=SCAN_FROM_SFM))
-    assert [score.value for score in found.scores] == [0, 0, 0]
-    check_text(found.notes[1])
+    outside = replace(scene, candidate=Cloud(np.ones((5, 3)) * 1e6), pose=SCAN_FROM_SFM)
+    for inputs in (outside, replace(outside, crop=Box([0, 0, -10], [9, 9, 10]))):
+        found = TanksAndTemples(0.4).evaluate(inputs)
+        assert [score.value for score in found.scores] == [0, 0, 0]
+        check_text(found.notes[1])
 
 
 def test_missing_files_and_names_are_refused(scene, tmp_path):
@@ -137,6 +139,8 @@ def test_missing_files_and_names_are_refused(scene, tmp_path):
         protocol.evaluate(EvaluationInputs(Cloud(np.ones((3, 3))), scene.candidate))
     with check_error():
         protocol.evaluate(replace(scene, reference=Path(scene.candidate), data=tmp_path / "none"))
+    with check_error():
+        protocol.evaluate(replace(scene, reference=Path(scene.candidate), pose=SCAN_FROM_SFM))
     with check_error():
         replace(protocol, trajectory="missing.log").evaluate(scene)
     for name in ("Hill_trans.txt", "Hill.json"):

@@ -10,9 +10,11 @@ from wording import check_error
 
 from pcbench import read_cloud
 from pcbench.geometry.neighbors import Index
+from pcbench.measure.quality import strips
 from pcbench.measure.quality.bootstrap import BlockEstimate, mean_estimate, median_estimate, root_mean_square_estimate
 from pcbench.measure.quality.coordinates import coordinate_faults
 from pcbench.measure.quality.entropy import map_entropy
+from pcbench.measure.quality.groups import PointGroups
 from pcbench.measure.quality.numbers import better_cloud, have_equal_density, quality_numbers
 from pcbench.measure.quality.outliers import find_outliers
 from pcbench.measure.quality.patches import fit_patches, seeds_of
@@ -50,7 +52,7 @@ def test_a_curved_surface_without_noise_has_relief_but_no_noise():
     assert surface.noise.value < 0.05 * surface.roughness.value  # a cylinder differs from its parabola to fourth order
 
 
-@pytest.mark.parametrize("separation", [0.06, 0.25])
+@pytest.mark.parametrize("separation", [0.06, 0.25, 0.6])
 def test_a_double_wall_is_found_with_its_distance(separation):
     rng = np.random.default_rng(1)
     points = np.vstack([wall(rng, 8_000, 6, 3, 0.008, separation), floor(rng, 8_000, 6, 0.008) + [0, 0.3, 0]])
@@ -59,6 +61,7 @@ def test_a_double_wall_is_found_with_its_distance(separation):
     assert len(walls.walls) == 1
     assert walls.separation.value == pytest.approx(separation, rel=TEN_PERCENT)
     assert abs(walls.walls[0].centre[1] - separation / 2) < separation
+    assert 0.5 * 18 < walls.walls[0].area < 1.1 * 18  # places near an edge see one side only
     assert quality.surface.noise.value == pytest.approx(0.008, rel=TEN_PERCENT)  # the distance is no noise
 
 
@@ -79,6 +82,13 @@ def test_steps_rounding_and_single_walls_are_no_double_walls():
     rounded = np.round(floor(rng, 12_000, 5, 0.01), 2)
     for points, step in ((stairs, 0.0), (rounded, 0.01), (wall(rng, 12_000, 6, 3, 0.01), 0.0)):
         assert not double_walls(Index(points), 0.02, step, None, 0).walls
+
+
+def test_narrow_roofs_beside_ground_are_no_double_walls():
+    for width, distance in ((5, 25), (8, 30)):
+        points = floor(np.random.default_rng(4), 20_000, 100, 0.05)
+        points[:, 2] += 4.0 * (points[:, 0] % distance < width)
+        assert not double_walls(Index(points), 0.5, 0.0, None, 0).walls
 
 
 def test_voids_are_found_with_their_areas_and_those_at_water_are_told_apart():
@@ -123,6 +133,19 @@ def test_offsets_of_strips_are_recovered_on_a_slope():
     assert pair.dz.low < 0.05 < pair.dz.high and pair.dz.low > 0
     assert pair.rms_dz.value == pytest.approx(0.05, rel=0.15)  # the noise of the means adds to it
     assert pair.rms_normal.value < pair.rms_dz.value
+
+
+def test_offsets_of_strips_do_not_depend_on_the_places_at_once(monkeypatch):
+    rng = np.random.default_rng(15)
+    points, strip, count, radius = floor(rng, 2000, 10, 0.02), rng.integers(-1, 3, 2000), 3, 0.8
+    index, seeds = Index(points), points[:100]
+    groups = PointGroups.of(index.query_radius(seeds, radius), points)
+    expected = seeds, *strips._offsets_at(groups, strip, count, seeds, radius)
+    assert np.isfinite(expected[2]).mean() > 0.5
+    for rows in (strips._CHUNK_ROWS, 1):
+        monkeypatch.setattr(strips, "_CHUNK_ROWS", rows)
+        for values, of_all in zip(strips._offsets(index, strip, count, seeds, radius), expected, strict=True):
+            np.testing.assert_array_equal(values, of_all)
 
 
 def test_strips_are_told_apart_by_the_first_field_that_does():
