@@ -1,7 +1,7 @@
 """Optional libraries: skip tests without one, and simulate machines on which one cannot be loaded.
 
-As a program it lists the libraries of pcbench and its tests that cannot be imported here, except the stress study's
-peers, which no extra installs.
+As a program it lists the libraries of pcbench and its tests that cannot be imported here, except peers of benchmarks
+and of the stress study, which no extra installs.
 """
 
 import os
@@ -16,7 +16,7 @@ from pcbench.extras import LIBRARIES, import_problem, require
 NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 SYSTEM_LIBRARIES = ("libusb-1.0.so.0", "libGL.so.1", *_OPENGL)
-PEERS = ("fricp_cpp", "point_cloud_utils", "small_gicp")  # compared in the stress study if they are installed
+PEERS = ("cv2", "fricp_cpp", "point_cloud_utils", "small_gicp")  # measured beside pcbench if they are installed
 _TEST_LIBRARIES = ("laspy", "skimage.metrics", "nbclient")
 
 

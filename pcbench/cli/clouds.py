@@ -85,16 +85,18 @@ def register(
 ) -> None:
     """Align CANDIDATE with REFERENCE, and print the motion and its precision.
 
-    Comment lines (#) give the shift of the candidate's centroid, the rotation angle and axis, the scale, and the
-    residuals of control and check points. The 4x4 matrix follows, so that the output is a file for --register
-    matrix:FILE.
+    Comment lines (#) give the shift of the candidate's centroid, the rotation angle and axis, the scale, whether the
+    pose can be trusted, and the residuals of control and check points. The 4x4 matrix follows, so that the output is a
+    file for --register matrix:FILE. A mesh stays a mesh in a .ply file.
     """
     from pcbench.geometry.crs import check_lengths
     from pcbench.geometry.datums import StatedSystem
+    from pcbench.geometry.mesh import Mesh
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
     from pcbench.io.outputs import check_output
+    from pcbench.io.ply import write_ply_mesh
     from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
     from pcbench.registration import parse_method
@@ -129,12 +131,16 @@ def register(
         result = register_clouds(fixed, moved, method)
         cloud = sample_candidate(moved, fixed)
     text = format_matrix(result.T_reference_candidate)
-    if out is not None:
+    if out is not None and isinstance(moved, Mesh) and out.suffix.lower() == ".ply":
+        write_ply_mesh(out, moved.transformed(result.T_reference_candidate))
+    elif out is not None:
         aligned = cloud.transformed(result.T_reference_candidate)
         if lost := set(cloud.attributes) - set(aligned.attributes):
             warn_unless(quiet)(
                 f"{out}: removed {len(lost)} attributes that are invalid in the new frame, such as {min(lost)!r}"
             )
+        if isinstance(moved, Mesh):
+            warn_unless(quiet)(f"{out}: {len(cloud):,} points sampled on the mesh; a .ply file keeps its faces")
         write_cloud(out, aligned, on_warning=warn_unless(quiet))
     if matrix is not None:
         with atomic_write(matrix) as file:
@@ -153,6 +159,7 @@ def register(
 def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) -> Iterator[str]:
     """Yield lines on the motion of a registration and its precision."""
     from pcbench.report.moved import motion_clause
+    from pcbench.report.pose import pose_sentence
 
     motion = result.T_reference_candidate.motion_at(centroid)
     unit_text = f" {unit}" if unit else ""
@@ -166,12 +173,13 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
     sigma = "unconstrained" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}{unit_text}"
     if (removed := result.motion) is not None:
         yield f"{motion_clause(result, removed, 'the candidate', unit)}, at the centre of the overlap"
-    state = {True: "converged", False: "NOT converged", None: "no iteration"}[result.converged]
+    state = "" if result.converged is None else "converged, " if result.converged else "NOT converged, "
+    steps = f"{result.iterations} iterations, {state}" if result.iterations else ""
     yield (
         f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}{unit_text},"
-        f" overlap {result.overlap:.1%}, {result.iterations} iterations, {state}, standard error in the"
-        f" weakest direction {sigma}"
+        f" overlap {result.overlap:.1%}, {steps}standard error in the weakest direction {sigma}"
     )
+    yield pose_sentence(result, "the candidate", unit)
     yield from result.residuals.point_lines(unit)
     yield from result.residuals.rmse_lines(unit)
     yield "matrix candidate -> reference:"

@@ -42,9 +42,9 @@ INCOMPLETE = 4
     default="pcbench",
     show_default=True,
     metavar="NAME[:SETTING=VALUE,...]",
-    help="Protocol, with settings that differ from the official ones: the benchmarks dtu, eth3d, tnt and mesh (rooms);"
-    " the definitions of gao2025, mpeg, open3d, pdal, pytorch3d, kaolin and point-cloud-utils; or pcbench (its own"
-    " metrics).",
+    help="Protocol, with settings that differ from its defaults: the benchmarks dtu, eth3d, tnt and mesh (rooms); the"
+    " definitions of gao2025, mpeg, open3d, pdal, pytorch3d, kaolin and point-cloud-utils; or pcbench (its own"
+    " metrics). Defaults are the official settings, but tnt samples meshes (officially tnt:mesh=vertices).",
     values=protocol_names,
 )
 @option(

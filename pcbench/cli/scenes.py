@@ -53,7 +53,8 @@ def scene(
 ) -> None:
     """Describe SCENE, a folder of photographs, with or without cameras.
 
-    Cameras are read from a COLMAP model, transforms.json, an Earth Studio export, Strecha's .camera files or OpenMVS.
+    Cameras are read from a COLMAP model, transforms.json, Strecha's .camera files, an OpenMVS scene, an Earth Studio
+    export, the cameras.json of Gaussian splats or Metashape's XML.
     Intrinsics alone may come from K.txt.
     """
     from pcbench.io.outputs import check_output

@@ -26,6 +26,7 @@ from pcbench.report.checked import check_point_sentences
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.moved import is_offset, place_sentence
 from pcbench.report.notes import CLAIMS, deformation_sentence, is_open, overlaps_little
+from pcbench.report.pose import doubt_clause, fit_sentence, open_clause
 from pcbench.report.ranking import leaders
 from pcbench.report.words import (
     interval_text,
@@ -48,7 +49,6 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "matrix": "matrix:FILE (a known pose)",
 }
 
-_GIVEN_POSES = {"none": "Not registered", "matrix": "In the given pose"}  # by method
 _VERDICTS = {  # of one and of several candidates, deformed ones first
     "non-affine": ("is deformed", "are deformed"),
     "affine": ("is sheared or stretched", "are sheared or stretched"),
@@ -167,20 +167,13 @@ class _Writer:
         if doubtful:
             parts.append(f"{self._doubt(doubtful)}, so the ranking excludes {'them' if len(doubtful) > 1 else 'it'}")
         if unconstrained:
-            parts.append(
-                f"The geometry does not determine the pose of {self.name_list(unconstrained)} (see the warnings):"
-                " distances along unconstrained directions are meaningless"
-            )
+            parts.append(open_clause(self.name_list(unconstrained)))
         return [f"{'. '.join(parts)}."] if parts else []
 
     def _doubt(self, doubtful: Sequence[Candidate]) -> str:
         """Return which registrations are doubtful and why: one in the words of its warning, several in short."""
         if len(doubtful) == 1:
-            reason = doubtful[0].registration.doubts[0].text.partition("; ")[0]  # what follows is a remedy
-            return (
-                f"The registration of {self.name_list(doubtful)} is doubtful: {reason}. Its numbers describe a pose"
-                " that may be wrong"
-            )
+            return doubt_clause(doubtful[0].registration, self.name_list(doubtful))
         by_code: dict[str, list[Candidate]] = {}
         for candidate in doubtful:
             by_code.setdefault(candidate.registration.doubts[0].code, []).append(candidate)
@@ -272,15 +265,8 @@ class _Writer:
 
     def _pose(self, candidate: Candidate) -> str:
         registration, least = candidate.registration, rounding_limit(self.comparison)
-        method = registration.method.partition(":")[0]
-        pose = _GIVEN_POSES.get(method, f"Registered by {'control points' if method == 'points' else method}")
-        parts = []
-        if not self._overlap_warning(candidate):  # _how_far states a small overlap
-            parts.append(f"{registration.overlap:.1%} of the candidate lies on the reference")
-        sigma = registration.weakest_sigma
-        if sigma is not None and sigma > least and method not in _GIVEN_POSES:
-            parts.append(f"the standard error of the pose is {self.length(sigma)} in its weakest direction")
-        text = f"{pose}: {', and '.join(parts)}." if parts else f"{pose}."
+        states_overlap = not self._overlap_warning(candidate)  # _how_far states a small overlap
+        text = fit_sentence(registration, self.comparison.reference.unit, least, states_overlap=states_overlap)
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
         if value is not None and floor is not None and least < value <= MAX_NOISE_RATIO * floor:
             cause = "density and rounding" if self._step_words(candidate) else "density"
@@ -342,7 +328,7 @@ class _Writer:
             return f"{ranking}; {wide} cannot be ranked, because {subject} too wide"
         values = [self.length(distances[name].value) for name in order]
         best, worst = self.names[order[0]], self.names[order[-1]]
-        words = f" {smallest.label}" + ("" if smallest.floor is None else f" (floor {self.length(smallest.floor)})")
+        words = f" {smallest.label}{self._floor_words([distances[name].floor for name in order])}"
         if len(best_ones) == len(order) == 2:
             return f"No significant difference in {quantity}: {best} {values[0]}, {worst} {values[1]}{words}"
         if len(order) == 2:
@@ -359,6 +345,18 @@ class _Writer:
         names = join_words([self.names[name] for name in best_ones])
         ends = f"{values[0]} to {values[len(best_ones) - 1]}"
         return f"{names} are {most}, without a significant difference: {ends}{words}{ending}"
+
+    def _floor_words(self, floors: Sequence[float | None]) -> str:
+        """Return the sampling floors of ranked candidates in parentheses; empty if one is unknown."""
+        lengths = [self.length(floor) for floor in floors if floor is not None]
+        if len(lengths) < len(floors):
+            return ""
+        if len(set(lengths)) == 1:
+            return f" (floor {lengths[0]})"
+        if len(lengths) == 2:
+            return f" (floors {lengths[0]} and {lengths[1]})"
+        lowest, highest = (self.length(end(floor for floor in floors if floor is not None)) for end in (min, max))
+        return f" (floors {lowest} to {highest})"
 
     def _last(self, tied: Sequence[str], distances: Mapping[str, _Distance]) -> str:
         names = join_words([self.names[name] for name in tied])

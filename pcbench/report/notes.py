@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from pcbench.geometry.arrays import bounds
 from pcbench.measure.quantities import quantities
@@ -22,6 +22,7 @@ from pcbench.report.checked import check_point_remarks
 from pcbench.report.inputs import FinishedComparison
 from pcbench.report.layout import label_of
 from pcbench.report.moved import motion_clause, place_sentence
+from pcbench.report.pose import has_open_motion
 from pcbench.report.words import interval_text, join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
@@ -51,6 +52,19 @@ def warnings(comparison: FinishedComparison) -> list[str]:
             names_by_text.update({text: [] for text in inputs.candidates[candidate.name].warnings})
         for text in _of_candidate(comparison, candidate):
             names_by_text.setdefault(text, []).append(candidate.name)
+    return _with_names(names_by_text)
+
+
+def metric_warnings(comparison: FinishedComparison) -> list[str]:
+    """Return those of the `warnings` that say why user-defined metrics are missing."""
+    names_by_text: dict[str, list[str]] = {}
+    for candidate in comparison:
+        for text in candidate.failures:
+            names_by_text.setdefault(text, []).append(candidate.name)
+    return _with_names(names_by_text)
+
+
+def _with_names(names_by_text: Mapping[str, Sequence[str]]) -> list[str]:
     return [f"{join_words(names)}: {text}" if names else text for text, names in names_by_text.items()]
 
 
@@ -130,8 +144,7 @@ def deformation_sentence(comparison: FinishedComparison, candidate: Candidate, n
 
 def is_open(candidate: Candidate) -> bool:
     """Return whether the geometry, from which a candidate's pose was found, leaves a motion unconstrained."""
-    registration = candidate.registration
-    return not registration.keeps_pose and any(notice.code == UNOBSERVABLE for notice in registration.warnings)
+    return has_open_motion(candidate.registration)
 
 
 def overlaps_little(comparison: FinishedComparison, candidate: Candidate) -> bool:

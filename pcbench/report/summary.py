@@ -70,11 +70,11 @@ def main_lines(comparison: FinishedComparison) -> list[Line]:
         *always,
         Line.of_texts("deformation", (c.deformation.label for c in candidates)),
     ]
-    limits = [c.deformation.size_limit for c in candidates]
+    # Beside `undecided`, a size or a limit would read as a statement.
+    stated = [None if c.deformation.label == "undecided" else c.deformation.assuming_pose() for c in candidates]
+    limits = [None if result is None else result.size_limit for result in stated]
     if any(limit is not None for limit in limits):
-        results = [c.deformation.assuming_pose() for c in candidates]
-        amplitudes = [None if result.verdict == "undecided" else result.amplitude for result in results]
-        sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
+        sizes = [None if result is None or result.amplitude is None else result.amplitude.rms for result in stated]
         lines.append(Line.of_texts("RMS", map(show, sizes), 1))
         lines.append(Line.of_texts("detectable RMS", map(show, limits), 1))
     return [*lines, *optional[: _MAX_ROWS - len(lines)], *asked]

@@ -243,7 +243,9 @@ class Scene:
             positions = np.stack([camera.position for camera in self.cameras.values()])
             extent = " x ".join(f"{length:.4g}" for length in np.ptp(positions, axis=0))
             kinds = len({camera.intrinsics for camera in self.cameras.values()})
-            lines.append(f"  cameras span {extent}, {kinds} intrinsics")
+            unit = "" if self.origin is None else " m"
+            sets = "one set" if kinds == 1 else f"{kinds} sets"
+            lines.append(f"  cameras span {extent}{unit}, {sets} of intrinsics")
         if self.with_alpha:
             lines.append(f"  alpha channel in {len(self.with_alpha)} images; transparent pixels count as masked")
         if self.intrinsics:

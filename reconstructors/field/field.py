@@ -56,14 +56,17 @@ _BYTES_PER_GB = 1e9
 class RadianceField:
     """Train a voxel radiance field on the photographs and extract the surface it shows.
 
-    The field covers the sparse points of `sfm`; what lies behind it has a color that depends only on the direction.
+    The field covers the sparse points of `sfm`; what lies behind it has a colour that depends only on the direction.
 
     poses: `given` uses the scene's cameras as they are, `solve` computes them, as `sfm` does; `auto` uses the scene's
     cameras if there are any.
-    steps: number of training steps of 4,096 rays. resolution: number of voxels along the longest side of the field.
-    image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
-    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
-    that training may use; if the grid does not fit, its voxels stay larger.
+    steps: number of training steps of 4,096 rays.
+    resolution: number of voxels along the longest side of the field.
+    image_side: maximum length of the photographs' longer side, in pixels.
+    hold_out: images not used for training: `every` 8th, or 8 `blocks`; the workspace then has renderings of all images
+    for `pcbench views`.
+    memory: gigabytes that training may use; if the grid does not fit, its voxels stay larger.
+
     The workspace keeps the field (model/field.npz).
     """
 

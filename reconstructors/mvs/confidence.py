@@ -34,7 +34,7 @@ _MIN_COSINE = 0.2  # between normal and line of sight, when the tolerance of the
 _ANGLES_DEG = (5.0, 45.0)  # smaller and larger angles count like these
 _WINDOW_SIDES_PX = (3, 9)  # at the pixel, and the matcher's window
 _MAX_TEXTURE_TO_NOISE = 100.0  # ratio of variances; more texture counts like this
-# python benchmarks/mvs_confidence.py --seeds 1-3 --fit
+# python benchmarks/mvs_confidence.py --seeds 1-3 --fit, with a minimum correlation of 0.3
 CUE_WEIGHTS = (-1.74, 0.14, -1.50, 0.53, -0.41)  # of the cues of `depth_cues` in the log odds of a depth's score
 POINT_WEIGHTS = (2.57, 0.38, 1.67)  # of 1 and of the log odds of both scores in the log odds of a point's confidence
 SCORE_LIMITS = (0.005, 0.995)  # smaller and larger scores count like these

@@ -91,10 +91,13 @@ class DenseMvs:
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
     precision: expected share of the points within two pixel footprints of the surface; the least confident points are
     dropped until it is reached, and 0 keeps all. The default leaves a margin for a true share of 0.9.
-    correlation: minimum correlation of the images at a depth, from 0 to 1. views: minimum number of images that agree
-    on a point; 3 gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
+    correlation: minimum correlation of the images at a depth, from 0 to 1.
+    views: minimum number of images that agree on a point; 3 gives fewer points and fewer errors. In any case more
+    images must confirm a point than see through it.
     memory: gigabytes that fusion may use for points. A scene that needs more is fused in blocks, one after the other.
-    mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
+    mesh: also write a Poisson mesh into the workspace.
+
+    The workspace keeps the depth and normal maps.
     """
 
     poses: Literal["auto", "given", "solve"] = "auto"

@@ -16,16 +16,15 @@ if TYPE_CHECKING:
 class LearningRates:
     """Learning rates per step. The rate of the means decays exponentially from `means` to `means_final`.
 
-    The defaults are twelve times those of Kerbl et al. 2023 for the means, in units of the cameras' spread, six times
-    for the scales, and three times for the rest: theirs are for 30,000 steps, and a CPU has time for a tenth of them.
-    With `update_all`, Gaussians that were not drawn move on by their moments, as in their code; without, they stay,
-    which is faster.
+    The defaults are three times those of Kerbl et al. 2023, for means in units of the cameras' spread: theirs are for
+    30,000 steps, and a CPU has time for a tenth of them. With `update_all`, Gaussians that were not drawn move on by
+    their moments, as in their code; without, they stay, which is faster.
     """
 
-    means: float = 1.92e-3
-    means_final: float = 1.92e-5
+    means: float = 4.8e-4
+    means_final: float = 4.8e-6
     quats: float = 3e-3
-    log_scales: float = 3e-2
+    log_scales: float = 1.5e-2
     logits: float = 0.15
     sh_dc: float = 7.5e-3
     sh_rest: float = 3.75e-4

@@ -52,7 +52,7 @@ from reconstructors.splat.photographs import (
 )
 from reconstructors.splat.ply import local_origin, write_model
 from reconstructors.splat.preview import PreviewWriter
-from reconstructors.splat.recipes import RECIPES, DensityName, Recipe
+from reconstructors.splat.recipes import DensityName, Recipe, choose_recipe
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.start import points_in_bounds, points_in_view
 from reconstructors.splat.supervision import Supervision, read_supervision
@@ -70,7 +70,7 @@ CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 BLOCKS = "blocks"  # in the workspace: a stage like `model` for each block, if there are several
 
 # Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
-INITIAL_MVS = DenseMvs(views=2, precision=0.0, correlation=0.1)
+INITIAL_MVS = DenseMvs(precision=0.0)
 
 _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface
@@ -156,11 +156,12 @@ class GaussianSplatting:
     which fewer Gaussians are enough.
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
-    all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
-    steps: number of training steps; 3,000, or 50,000 for gao2025. gaussians: maximum number; 50,000, but 100,000 for
-    parsimonious and 2,000,000 for gao2025.
+    all Gaussians, as Gao et al. use them.
+    min_opacity: the least opacity of those means, 0 to 1.
+    steps: number of training steps; 3,000, or 50,000 for gao2025.
+    gaussians: maximum number; 50,000, but 100,000 for parsimonious and 2,000,000 for gao2025.
     sh_degree: degree of the spherical harmonics, 0 to 3; 2, or 3.
-    background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
+    background: the colour behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one colour dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
     transparent where they are.
     exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
@@ -170,6 +171,7 @@ class GaussianSplatting:
     memory: gigabytes that training may use. A scene that needs more is trained in blocks, one after the other, each for
     `steps` steps on the photographs that show it; the blocks share the `gaussians`.
     device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
+
     The workspace keeps the model (model/point_cloud.ply), which splat viewers open.
     """
 
@@ -314,7 +316,8 @@ class GaussianSplatting:
         """The recipe of the density setting with what is set otherwise."""
         names = ("steps", "gaussians", "sh_degree", "image_side")
         changed: dict[str, Any] = {name: value for name in names if (value := getattr(self, name)) is not None}
-        return replace(RECIPES[self.density], **changed)
+        supervised = self.start == "mvs" and self.supervision == "mvs"
+        return replace(choose_recipe(self.density, supervised=supervised), **changed)
 
     @property
     def _uses_depths(self) -> bool:

@@ -14,6 +14,7 @@ from wording import check_text
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.cli import clouds, convert
 from pcbench.geometry.transform import read_matrix
+from pcbench.io.meshes import read_mesh
 
 
 def test_crop_register_and_info(files, run):
@@ -35,6 +36,20 @@ def test_crop_register_and_info(files, run):
     assert "1,500 points" in out
 
 
+def test_register_keeps_the_faces_of_a_mesh(files, run):
+    rows = np.array([[0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 10]])
+    lines = [f"v {x} {y} {z}" for x, y, z in rows] + ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+    Path("mesh.obj").write_text("\n".join(lines))
+    Path("T.txt").write_text("0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n")
+    assert run("register", "ref.ply", "mesh.obj", "--register", "matrix:T.txt", "--out", "moved.ply")[0] == 0
+    mesh = read_mesh("moved.ply")
+    np.testing.assert_array_equal(mesh.vertices, read_matrix("T.txt").apply(rows))
+    np.testing.assert_array_equal(mesh.faces, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    code, _, err = run("register", "ref.ply", "mesh.obj", "--register", "matrix:T.txt", "--out", "moved.las")
+    assert code == 0
+    assert "points sampled on the mesh; a .ply file keeps its faces" in err
+
+
 def test_register_prints_the_motion_before_the_matrix(files, run):
     """The shift is that of the centroid: at the origin, 450 km away, a rotation of half a degree shifts by 4 km."""
     offset = np.array([450_000.0, 5_400_000.0, 300.0])
@@ -46,7 +61,9 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
     write_cloud("moved.ply", Cloud((points - centroid) @ rotation.T + centroid + [0.03, 0.04, 0], unit="m"))
     code, out, _ = run("register", "far.ply", "moved.ply")
     assert code == 0
-    shift_line, rotation_line, scale_line, overlap_line, fit_line, title_line, *matrix_lines = out.splitlines()
+    shift_line, rotation_line, scale_line, overlap_line, fit_line, pose_line, title_line, *matrix_lines = (
+        out.splitlines()
+    )
     assert float(shift_line.split()[5]) == pytest.approx(0.05, abs=0.002)
     assert shift_line.split()[6] == "m"
     assert float(rotation_line.split()[2]) == pytest.approx(0.5, abs=0.002)
@@ -54,10 +71,26 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
     assert scale_line.startswith("# scale: 1 ")
     assert "turned it by 0.5 ± " in overlap_line
     assert "100.0%" in fit_line
+    assert pose_line.startswith(
+        "# Registered by icp: 100.0% of the candidate lies on the reference, and the standard error"
+    )
     check_text("\n".join([scale_line, title_line]))
     assert len(matrix_lines) == 4
     (files / "T.txt").write_text(out)  # the whole output is a valid matrix file
     np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
+
+
+def test_register_says_in_the_words_of_compare_whether_the_pose_can_be_trusted(files, run):
+    rng = np.random.default_rng(0)
+    write_cloud("plane.ply", Cloud(rng.random((2000, 3)) * [1, 1, 0]))
+    low, high = read_cloud("ref.ply").bounds
+    write_cloud("noise.ply", Cloud(rng.uniform(low, high, (2000, 3))))
+    for reference, candidate in (("plane", "plane"), ("ref", "noise")):
+        _, out, _ = run("register", f"{reference}.ply", f"{candidate}.ply")
+        sentence = out.splitlines()[-6].removeprefix("# ")
+        answer = run("compare", f"{reference}.ply", f"{candidate}.ply")[1]
+        assert sentence.replace("the candidate", candidate) in answer
+        check_text(sentence)
 
 
 def test_register_of_a_cloud_with_itself_moves_nothing(files, run):

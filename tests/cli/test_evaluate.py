@@ -71,6 +71,7 @@ def test_errors_are_one_line(files, run):
         ("--pairs", "pairs.csv"),
         ("--pairs", "pairs.csv", "ref.ply"),
         ("ref.ply", "a.ply", "--metric", "far.py:far", "--protocol", "open3d"),
+        ("ref.ply", "a.ply", "--metric", "fscore@0.1", "--protocol", "pdal"),
         ("ref.ply", "a.ply", "--columns", "nothing", "--protocol", "open3d", "-q"),
     ):
         code, out, err = run("evaluate", *arguments)

@@ -47,3 +47,9 @@ def test_each_command_is_in_a_section():
 def test_pcbench_alone_shows_three_examples():
     result = CliRunner().invoke(app, [])
     assert sum(line.startswith("  pcbench ") for line in result.output.splitlines()) == 3
+
+
+def test_the_help_of_scene_names_all_files_of_cameras():
+    text = " ".join(CliRunner().invoke(app, ["scene", "--help"]).output.split())
+    for name in ("COLMAP", "transforms.json", ".camera", "OpenMVS", "Earth Studio", "cameras.json", "Metashape"):
+        assert name in text

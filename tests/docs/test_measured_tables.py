@@ -13,9 +13,11 @@ COMMAND = "python benchmarks/speed.py --runs 2"
 PAGE = f"# Speed\n\n<!-- made by: {COMMAND} -->\n```text\nold\n```\n\nEnd of the page.\n"
 SCRIPT = """
 import sys
+import tempfile
 import kernel
 print("table of", kernel.VALUE, sys.argv[1:])
-print()
+with tempfile.TemporaryDirectory() as folder:
+    print("in", folder + "/study")
 """
 BLOCKS = """
 import os
@@ -75,9 +77,9 @@ def test_a_table_is_written_until_its_code_is_the_same(docs, site_hooks, root, m
     assert remeasure(docs, monkeypatch, "--only", "tiles") == 0 and page(root) == PAGE
     assert "has not written it yet.*\n\nEnd of the page." in shown()
     assert remeasure(docs, monkeypatch) == 0
-    assert page(root) == PAGE.replace("old", "table of 7 ['--runs', '2']")
+    assert page(root) == PAGE.replace("old", "table of 7 ['--runs', '2']\nin study")
     (record,) = (root / "docs/measured/runs").iterdir()
-    assert json.loads(record.read_text())["lines"] == ["table of 7 ['--runs', '2']"]
+    assert json.loads(record.read_text())["lines"] == ["table of 7 ['--runs', '2']", "in study"]
     run = docs[1].read_run(root, COMMAND)
     assert {"benchmarks/speed.py", "benchmarks/kernel.py"} <= set(run.code)
     (root / "benchmarks/kernel.py").write_text("VALUE = 7  # as always\n")

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from optional import import_or_skip
 from repository import ROOT
 
 import pcbench
@@ -15,14 +16,16 @@ INTERNAL = {"cli", "native", "children"}  # packages that programs do not import
 
 def test_every_exported_name_is_in_the_reference():
     pages = (ROOT / "docs" / "reference").glob("pcbench-*.md")
-    documented = [name for page in pages for name in re.findall(r"^        - (\w+)$", page.read_text(), re.MULTILINE)]
+    entry = re.compile(r"^::: pcbench\.(\w+)$|`pcbench\.(\w+)` is the module", re.MULTILINE)
+    documented = [name or module for page in pages for name, module in entry.findall(page.read_text())]
     assert sorted(documented) == sorted(set(pcbench.__all__) - {"__version__"})
 
 
 def test_every_module_is_on_one_reference_page():
     """A page names a module or its package; `mkdocs.yml` hides modules that run in child processes."""
     pages = (ROOT / "docs" / "reference").glob("*.md")
-    listed = [name for page in pages for name in re.findall(r"^::: (\S+)", page.read_text(), re.MULTILINE)]
+    entries = [entry for page in pages for entry in page.read_text().split("\n::: ")[1:]]
+    listed = [entry.split()[0] for entry in entries if "show_submodules: false" not in entry]
     for file in sorted((ROOT / "pcbench").rglob("*.py")):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
         package = module.split(".")[1]
@@ -89,6 +92,22 @@ def test_site_loads_nothing_from_other_hosts(tmp_path):
         assert len(re.sub("<[^>]+>", " ", article).split()) <= 5000, f"{page.parent.name}: split docs/reference"
 
 
+def test_descriptions_of_attributes_move_to_them(monkeypatch):
+    import_or_skip("griffe")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    from reference_extension import moved_entries, split_entries
+
+    names = {"width", "height", "steps", "poses"}
+    docstring = "A.\n\nArgs:\n    width, height: size\n        in pixels.\n    other: kept.\n\nRaises:\n    Bad: no."
+    text, entries = moved_entries(split_entries(docstring), names)
+    assert text == "A.\n\nArgs:\n    other: kept.\n\nRaises:\n    Bad: no."
+    assert entries == {"width": "size in pixels.", "height": "size in pixels."}
+    assert moved_entries("A.\n\nAttributes:\n    steps: many.\n\nMore.", names)[0].split() == ["A.", "More."]
+    text, entries = moved_entries("Train.\n\nposes: `given` or\nsolved.\nsteps: many.\n\nIt ends.", names)
+    assert (text.split("\n\n")[0], text.split("\n\n")[-1].strip()) == ("Train.", "It ends.")
+    assert entries == {"poses": "`given` or solved.", "steps": "many."}
+
+
 def test_sentences_of_answers_are_joined_and_rows_are_whole(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "docs")
     import site_hooks
@@ -101,10 +120,20 @@ def test_sentences_of_answers_are_joined_and_rows_are_whole(monkeypatch):
         "name    value",
         "name    " + "explanation " * 12,
         "a  " + "1  " * 60,
+        "$ pcbench " + "word " * 24,
+        "reference.ply: 10 points",
+        '<a id="1"></a><span class="gp"># </span>shift: <span class="m">0.6</span> m',
+        "0.5 -1.2e-05 1",
     ]
     html = '<div class="language-console highlight"><pre><code>' + "\n".join(lines) + "</code></pre></div>"
     shown = site_hooks.on_page_content(html + '<img alt="a map" src="map.png">')
     assert shown.splitlines()[0].endswith("floor ends here.")
     assert shown.splitlines()[1:3] == ["The next one.", '<span class="row">name    value</span>']
-    assert shown.count('class="row"') == 2 and '<span class="row">a  1' in shown
+    assert shown.count('class="row"') == 3 and '<span class="row">a  1' in shown
+    assert shown.splitlines()[-4:-1] == [
+        "$ pcbench " + "word " * 24,
+        "reference.ply: 10 points",
+        '<span class="go"><a id="1"></a># shift: 0.6 m</span>',
+    ]
+    assert site_hooks.on_page_content("<code>--crop a</code>") == '<code><span class="option">--crop</span> a</code>'
     assert shown.endswith('<a href="map.png"><img alt="a map" src="map.png"></a>')

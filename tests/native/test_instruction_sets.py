@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kernel_scripts import run_script
 from repository import ROOT, TESTS
 
 NATIVE = ROOT / "pcbench" / "native"
@@ -175,6 +177,36 @@ def test_results_do_not_depend_on_the_instruction_set(baseline_digest, isa):
     if "error: PCBENCH_ISA: " in process.stderr or "InputError: PCBENCH_ISA: " in process.stderr:
         pytest.skip(f"this machine has no {isa}")
     assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr
+
+
+# The squared distance of a point from itself or a copy is 0: a key that combines it with a small number is denormal.
+FLUSHED_SCRIPT = """
+import ctypes
+import numpy as np
+from pcbench.geometry.neighbors import Index
+
+points = np.random.default_rng(0).random((2000, 3))
+points[:300] = points[1000:1300]
+expected = [Index(points).query(points, k) for k in (8, 16, 24, 100)]
+library, state = ctypes.CDLL("libm.so.6"), (ctypes.c_uint32 * 8)()
+library.fegetenv(state)
+state[7] |= 0x8040  # MXCSR: results and inputs that are denormal count as zero
+library.fesetenv(state)
+found = [Index(points).query(points, k) for k in (8, 16, 24, 100)]
+print([int((a.indices != b.indices).sum() + (a.distances != b.distances).sum()) for a, b in zip(expected, found)])
+"""
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or platform.libc_ver()[0] != "glibc", reason="sets the x86-64 state of glibc"
+)
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_threads_that_flush_denormal_numbers_find_the_same_neighbors(isa):
+    """`torch.set_flush_denormal` does so, and libraries linked with -ffast-math. The only thread searches."""
+    process = run_script(FLUSHED_SCRIPT, PCBENCH_ISA=isa, OMP_NUM_THREADS="1")
+    if "InputError: PCBENCH_ISA: " in process.stderr:
+        pytest.skip(f"this machine has no {isa}")
+    assert process.stdout == "[0, 0, 0, 0]\n", process.stderr
 
 
 def test_an_unknown_instruction_set_is_refused():

@@ -1,6 +1,8 @@
 """The conda recipe and the container file agree with pyproject.toml."""
 
 import re
+import subprocess
+import sys
 import tomllib
 
 import pytest
@@ -28,3 +30,15 @@ def test_container_file_names_extras_of_the_project():
     text = (ROOT / "packaging/Containerfile").read_text()
     extras = {extra for found in re.findall(r"\[([a-z0-9,]+)\]", text) for extra in found.split(",")}
     assert {"cuda", "plot"} <= extras <= set(PROJECT["project"]["optional-dependencies"])
+
+
+def test_printed_requirements_are_those_of_the_project_and_its_extras():
+    def printed(*extras):
+        script = ROOT / "packaging/requirements.py"
+        return subprocess.run([sys.executable, script, *extras], capture_output=True, text=True)
+
+    extras = PROJECT["project"]["optional-dependencies"]
+    expected = [*PROJECT["project"]["dependencies"], *extras["plot"], *extras["sfm"]]
+    assert printed("plot", "sfm").stdout.splitlines() == expected
+    assert not any("pcbench" in line for line in expected)  # pip would look for it in the index
+    assert printed("nothing").returncode != 0

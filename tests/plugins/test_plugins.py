@@ -75,9 +75,9 @@ def test_documented_plugin_runs(scene, tmp_path):
     """Run the documented command in a folder outside of the repository."""
     page = (ROOT / "docs" / "reconstructors.md").read_text()
     code = re.search(
-        r'```python title="mine.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct mine[^\n]*)\n', page, re.DOTALL
+        r'```python title="projected.py"\n(.*?)```\n.*?\n\$ (pcbench reconstruct projected[^\n]*)\n', page, re.DOTALL
     )
-    (tmp_path / "mine.py").write_text(code[1])
+    (tmp_path / "projected.py").write_text(code[1])
     scene.rename(tmp_path / "city")
     process = subprocess.run(
         [sys.executable, "-m", "pcbench.cli", *code[2].split()[1:]],
@@ -88,7 +88,7 @@ def test_documented_plugin_runs(scene, tmp_path):
     )
     assert (process.returncode, process.stderr) == (0, "")
     assert "105 points, georeferenced, 3 cameras" in process.stdout
-    ground = read_cloud(tmp_path / "flat.ply")
+    ground = read_cloud(tmp_path / "projected.ply")
     assert len(ground.points) == 3 * 7 * 5  # images of 40 x 30 pixels
     np.testing.assert_allclose(ground.points[:, 2], 0, atol=1e-5)  # float32 at some ten metres
 

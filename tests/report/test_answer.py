@@ -96,6 +96,19 @@ def test_answer_on_many_candidates_names_the_best_and_the_last(comparison):
     check_text("\n".join(detail_sentences))
 
 
+def test_each_floor_is_stated_if_they_differ(comparison):
+    """The half cloud d has another floor of completeness than a."""
+    floors = [comparison[name].metrics.mean_distance.completeness.floor for name in ("a", "d")]
+    named = dict(zip(("a", "d"), (f"{floor:.3g} m" for floor in floors), strict=True))
+    sentences = " ".join(answer(select_candidates(comparison, "a", "d")))
+    assert f"mean distance from the reference (floors {named['a']} and {named['d']})" in sentences
+    every = [c.metrics.mean_distance.completeness.floor for c in comparison]
+    assert f"(floors {min(every):.3g} m to {max(every):.3g} m)" in " ".join(answer(comparison))
+    equal = tuple(replace(comparison["a"], name=name) for name in ("a", "d"))
+    (ranking,) = [s for s in answer(replace(comparison, candidates=equal)) if "mean distance from" in s]
+    assert f"(floor {named['a']})" in ranking
+
+
 def test_candidates_indistinguishable_from_the_last_are_named_with_it(comparison):
     """As for the first: no candidate is named last if chance could explain its rank."""
 

@@ -202,6 +202,7 @@ WRONG_XML = {
     "p3": metashape_files.export(orbit(NAMES), lens={"p3": 0.1}),
     "strong k4": metashape_files.export(orbit(NAMES, Intrinsics(4000, 3000, 1500, 1500, 2000, 1500)), lens={"k4": 0.5}),
     "folded": metashape_files.export(orbit(NAMES), lens={"k3": -50.0}),
+    "folded fisheye": metashape_files.export(orbit(NAMES), lens={"k1": -50.0}, sensor_type="fisheye"),
     "folded by k4": metashape_files.export(orbit(NAMES), lens={"k4": -50.0}),
     "no focal length": metashape_files.export(orbit(NAMES), lens={"f": 0.0}),
     "NaN": metashape_files.export(orbit(NAMES), lens={"k1": float("nan")}),

@@ -201,7 +201,7 @@ def _facts(deformation: Deformation, comparison: FinishedComparison) -> dict[str
         "verdict": f"{deformation.label} ({deformation.model} model)",
         "p-value": _p_value(deformation.p_value),
         "RMS beyond affine": rms,
-        "detectable from": length(deformation.size_limit, unit),
+        "detectable from": UNKNOWN if deformation.label == "undecided" else length(deformation.size_limit, unit),
         "noise": sigma,
         "independent pairs": pairs,
     }

@@ -16,7 +16,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.region_text import parse_region, region_file
+from pcbench.geometry.region_text import as_region, region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
 from pcbench.measure.metrics import harmonic_mean
@@ -139,7 +139,7 @@ class EvaluationProtocol:
             expected = ", ".join((BY_GAUGE, *METHODS))
             raise InputError(f"expected a registration method ({expected}), got {rules.register!r}")
         method = None if rules.register == BY_GAUGE else parse_method(rules.register)
-        region = parse_region(rules.crop, truth.cloud)
+        region = as_region(rules.crop, truth.cloud)
         points_inside(truth.cloud.points, region, rules.crop, "the reference's")
         thresholds = _thresholds(rules.threshold, truth)
         visible = truth.sample_visible(min(t.length for t in thresholds), region)

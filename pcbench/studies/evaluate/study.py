@@ -13,11 +13,13 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pcbench.errors import InputError
 from pcbench.geometry.region_text import region_file
 from pcbench.io.contents import status_of
 from pcbench.io.named_code import code_file
+from pcbench.measure.metrics import split_thresholds
 from pcbench.measure.own_metrics import OwnMetric, check_metrics
 from pcbench.measure.protocols.preset import PcbenchProtocol
 from pcbench.measure.protocols.protocol import BenchmarkProtocol, protocol_text
@@ -79,9 +81,10 @@ def evaluate(
         pairs: instead of these, a CSV file as for `pcbench evaluate --pairs`, or `PlannedPair`s.
         protocol: a protocol, or its text such as `dtu` or `pcbench:thresholds=0.01/0.02`.
         protocol_data: folder with files of the benchmark.
-        columns: names of the scores in tables and in the answer; none: all.
+        columns: names of the scores in tables and in the answer; none: all. `fscore@0.05` adds 0.05 to the thresholds
+            of the protocol.
         metrics: user-defined metrics, as `FILE.py:function`, `module:function` or the name of an installed one, which
-            only the protocol `pcbench` computes.
+            only the protocol `pcbench` computes; or `fscore@0.05`, as for `columns`.
         register: how poses are determined, as for `pcbench.register`; {scene} and {method} are replaced.
         crop: region, as for `pcbench.parse_region`; {scene} and {method} are replaced.
         seed: seed of random samples and orders, and of the bootstrap.
@@ -143,7 +146,7 @@ def run_evaluation(
         InputError: a setting is not usable, `out` holds something else, or the only pair cannot be evaluated.
         OSError: a file cannot be written.
     """
-    protocol = parse_protocol(settings.protocol)
+    protocol, settings = _with_named_thresholds(settings)
     if settings.metrics and protocol.name != PcbenchProtocol.name:
         raise InputError(
             f"expected the protocol pcbench with user-defined metrics, got {protocol.name}: evaluate once for each"
@@ -174,6 +177,26 @@ def run_evaluation(
         step("writing the pages of the pairs")
         _write_pair_pages(out, study, records)
         return outcome
+
+
+def _with_named_thresholds(settings: EvaluateSettings) -> tuple[BenchmarkProtocol, EvaluateSettings]:
+    """Return the protocol with the thresholds of metrics and columns such as `fscore@0.05`, and settings to match.
+
+    Raises:
+        InputError: a metric has a threshold, but the protocol has no setting `thresholds`.
+    """
+    protocol: Any = parse_protocol(settings.protocol)
+    metrics, thresholds = split_thresholds(settings.metrics)
+    if not hasattr(protocol, "thresholds"):
+        if thresholds:
+            named = f"fscore@{thresholds[0]:g}"
+            raise InputError(f"expected a protocol with thresholds for {named}, such as pcbench, got {protocol.name}")
+        return protocol, settings
+    thresholds += split_thresholds(settings.columns)[1]
+    if added := tuple(value for value in dict.fromkeys(thresholds) if value not in protocol.thresholds):
+        protocol = replace(protocol, thresholds=(*protocol.thresholds, *added))
+        settings = replace(settings, protocol=protocol_text(protocol))
+    return protocol, replace(settings, metrics=metrics)
 
 
 def _evaluate_all(

@@ -33,6 +33,11 @@ _COLORS = {
 _MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D", FIELD: "v"}
 _MIN_ELEVATION_SHARE = 0.4  # height of the elevation, as a share of its width
 _CAMERA_COLOR, _FOCUS_COLOR = "#0072b2", "#d55e00"
+_MARKER_AREA = 120
+_IN_MARKER = {
+    "xytext": (0, -0.7), "textcoords": "offset points", "ha": "center", "va": "center",
+    "fontsize": 7, "fontweight": "bold", "color": "white", "zorder": 4,
+}  # fmt: skip
 _THIN_LINE = {"color": GREY, "alpha": 0.25, "linewidth": 0.8}
 
 
@@ -96,7 +101,7 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
 
 
 def draw_directions(study: GaoStudy, path: Path) -> bool:
-    """Draw RMS distances in both directions, one panel per reference.
+    """Draw RMS distances in both directions, one panel per reference, with numbers of the scenes in the markers.
 
     A line connects the sparse cloud of a scene with its splats' centres and their surface.
     """
@@ -106,19 +111,19 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
     figure, axes = canvas(1, len(columns), (6.4, 5.0), dpi=DPI, share=True)
     unit = study.unit or _UNKNOWN_UNIT
     for axis, reference in zip(axes[0], columns, strict=True):
-        for scene in study.scenes:
+        for number, scene in enumerate(study.scenes, 1):
             places = {}
             for cloud in scene.clouds:
                 evaluation = cloud.evaluation(reference)
                 if evaluation is not None and evaluation.c2r_rms and evaluation.r2c_rms:
                     places[cloud.name] = evaluation.c2r_rms, evaluation.r2c_rms
                     look = {"color": _COLORS[cloud.name], "marker": _MARKERS[cloud.name]}
-                    axis.scatter(*places[cloud.name], s=80, label=cloud.name, zorder=3, **look)
+                    axis.scatter(*places[cloud.name], s=_MARKER_AREA, label=cloud.name, zorder=3, **look)
             way = [places[name] for name in (SPARSE, MEANS, SURFACE) if name in places]
             if way:
                 axis.plot(*zip(*way, strict=True), **_THIN_LINE)
-            if len(study.scenes) > 1 and MEANS in places:
-                axis.annotate(scene.name, places[MEANS], (7, 4), textcoords="offset points", fontsize=8)
+            for place in places.values() if len(study.scenes) > 1 else ():
+                axis.annotate(str(number), place, **_IN_MARKER)
         axis.set(xscale="log", yscale="log")
         axis.set_xlabel(f"accuracy: cloud to {reference}, RMS [{unit}]")
         axis.set_ylabel(f"completeness: {reference} to cloud, RMS [{unit}]")
@@ -129,7 +134,8 @@ def draw_directions(study: GaoStudy, path: Path) -> bool:
     for axis in axes.ravel():
         plain_log_ticks(axis.xaxis)
         plain_log_ticks(axis.yaxis)
-    _legend(figure, axes, "lower left is better; lines connect sparse, splats' centres and their surface")
+    numbers = "numbers are scenes; " if len(study.scenes) > 1 else ""
+    _legend(figure, axes, f"lower left is better; {numbers}lines connect sparse, splats' centres and their surface")
     save(figure, path)
     return True
 

@@ -186,7 +186,7 @@ def _reasons(quality: CloudQuality, unit: str | None, settings: QualitySettings)
         reasons["noise"] = "too few patches of its points lie on a smooth surface"
     if quality.double_walls is not None and not quality.double_walls.walls:
         limit = with_unit(f"{quality.double_walls.max_separation:.3g}", unit or "units")
-        reasons["double_walls"] = f"no surface appears twice within {limit}"
+        reasons["double_walls"] = f"no surface appears twice within {limit}, if it is four times as wide as the gap"
     if quality.entropy is None:
         reasons["entropy"] = f"too few points have {settings.min_neighbors} points around them"
     if quality.strips is not None and quality.strips.why_not:

@@ -88,32 +88,36 @@ def outcome_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
 
 
 def matrix_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
-    """Return the failure matrix: the share of failed runs by row and ladder, and how many are wrong with confidence.
+    """Return the failure matrix: the share of failed runs by ladder and row, and how many are wrong with confidence.
 
-    On degenerate surfaces a run that says so has not failed.
+    Ladders, which have long titles, are lines, and the methods are columns. On degenerate surfaces a run that says so
+    has not failed.
     """
     rows, ladders = stress_rows(study, subject), study.ladders_of(subject)
     if not rows or not ladders:
         return None
-    figure, axes = canvas(1, 1, (4.6 + 0.62 * len(ladders), 1.0 + 0.42 * len(rows)), extra=2.2)
+    figure, axes = canvas(1, 1, (4.8 + 0.62 * len(rows), 0.9 + 0.34 * len(ladders)), extra=0.9)
     axis = axes[0, 0]
-    failed = np.full((len(rows), len(ladders)), np.nan)
-    for line, row in enumerate(rows):
+    failed = np.full((len(ladders), len(rows)), np.nan)
+    for column, row in enumerate(rows):
         groups = row.by_ladder
-        for column, ladder in enumerate(ladders):
+        for line, ladder in enumerate(ladders):
             if ladder.name not in groups:
                 continue
             tally = Tally.of(groups[ladder.name])
             share = 1 - ladder_success(tally, ladder, subject).share
             failed[line, column] = 100 * share
             confident = tally.of_groups(subject, Group.CONFIDENT)
-            text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")
+            text = f"{100 * share:.0f}" + (f"  !{100 * confident.share:.0f}" if confident.count else "")
             color = "white" if share > _DARK_SHARE else "black"
-            axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=1.15)
+            axis.text(column, line, text, ha="center", va="center", fontsize=9, color=color)
     drawn = axis.imshow(failed, cmap="YlOrRd", vmin=0, vmax=100, aspect="auto")
-    titles = [f"{ladder.title},\n{ladder.second_title}" if ladder.is_map else ladder.title for ladder in ladders]
-    axis.set_xticks(range(len(ladders)), titles, rotation=40, ha="right", rotation_mode="anchor", fontsize=9)
-    axis.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=9)
-    axis.set_title(f"Failures: {subject.name} (!n: n % are wrong with confidence)", fontsize=11, loc="left")
-    figure.colorbar(drawn, ax=axis, label="failed runs [%]", aspect=15, pad=0.01)
+    titles = [f"{ladder.title}, {ladder.second_title}" if ladder.is_map else ladder.title for ladder in ladders]
+    axis.set_yticks(range(len(ladders)), titles, fontsize=10)
+    names = [row.name for row in rows]
+    axis.set_xticks(range(len(rows)), names, rotation=40, ha="left", rotation_mode="anchor", fontsize=10)
+    axis.xaxis.tick_top()
+    axis.tick_params(top=False, left=False)
+    figure.suptitle(f"Failures: {subject.name} (!n: n % are wrong with confidence)", fontsize=11)
+    figure.colorbar(drawn, ax=axis, label="failed runs [%]", aspect=30, pad=0.02)
     return figure

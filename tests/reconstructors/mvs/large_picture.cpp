@@ -103,12 +103,12 @@ int main(int, char** arguments) {
             kept += state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] ==
                     -0.001f * static_cast<float>(s * kLanes + l + 1);
 
-    // Then its own planes are wrong, and those of its neighbours are right.
+    // Then its own planes are wrong, and those of its neighbours are right, as patches of half of the texels see too.
     for (int l = 0; l < kLanes; ++l) {
         state.plane[4 * number(kColumn - 2 * l, kRow)] = 1.5f * kTrueDepth;
         for (int s = 0; s < sources; ++s) state.view_costs[number(kColumn - 2 * l, kRow) * sources + s] = kMaxCost;
     }
-    Search<1>(problem, state, y, first).improve(0);
+    Search<2>(problem, state, y, first).improve(0);
     int taken = 0;
     for (int l = 0; l < kLanes; ++l) {
         const int64_t at = number(kColumn - 2 * l, kRow);

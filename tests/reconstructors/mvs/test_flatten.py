@@ -117,6 +117,9 @@ def test_confidences_follow_from_the_scores_of_the_nearest_points():
     left, right = np.split(np.arange(len(scores)), 2)
     part = flatten(scored.select(left), [scored.select(right)])
     np.testing.assert_array_equal(part.attributes[CONFIDENCE], confidence[left])
+    two = flatten(scored.select(np.array([44, 0])), [scored.select(np.delete(left, [0, 44]))])  # far from each other
+    expected = np.array([0.1, 0.9])
+    np.testing.assert_array_equal(two.attributes[CONFIDENCE], point_confidences(expected, expected))
 
 
 def _dot(a, b):

@@ -22,7 +22,8 @@ torch = import_or_skip("torch")
 from reconstructors.sfm.features import NoPointsError  # noqa: E402
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.exposure import read_gains  # noqa: E402
-from reconstructors.splat.recipes import Recipe  # noqa: E402
+from reconstructors.splat.optimizer import LearningRates  # noqa: E402
+from reconstructors.splat.recipes import RECIPES, SUPERVISED_RATES, Recipe  # noqa: E402
 from reconstructors.splat.start import points_in_view  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402
 
@@ -111,7 +112,7 @@ def test_the_note_moves_a_model_in_survey_coordinates_to_the_origin(train, monke
 def test_the_note_gives_the_last_step(train, monkeypatch):
     check_text(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
     converging = Recipe(schedule=Schedule(plateau=np.inf, downscale_shares=(0, 0)))
-    monkeypatch.setitem(plugin.RECIPES, "fixed", converging)
+    monkeypatch.setitem(RECIPES, "fixed", converging)
     check_text(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 
@@ -213,6 +214,26 @@ def test_the_recipe_of_the_paper_is_used_unless_it_is_set_otherwise(train, monke
     assert training.density.max_gaussians == 2_000_000
     train(density="gao2025", steps=30_000)
     assert trained[1].schedule.steps == 30_000
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_faster"),
+    [
+        ({}, True),
+        ({"density": "fixed"}, True),
+        ({"density": "classic"}, False),
+        ({"start": "sfm"}, False),
+        ({"supervision": "none"}, False),
+        ({"density": "gao2025"}, False),
+    ],
+    ids=str,
+)
+def test_gaussians_move_faster_only_where_depths_hold_them(settings, is_faster):
+    rates = plugin.GaussianSplatting(**settings)._recipe.schedule.rates
+    assert (rates == SUPERVISED_RATES) == is_faster
+    usual = RECIPES[settings.get("density", "parsimonious")].schedule.rates
+    assert is_faster or rates == usual
+    assert SUPERVISED_RATES.means > LearningRates().means > RECIPES["gao2025"].schedule.rates.means
 
 
 def test_a_note_reports_that_training_is_too_short_to_densify(train):

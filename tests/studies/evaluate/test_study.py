@@ -42,8 +42,7 @@ def finished(tmp_path_factory):
     study = pcbench.evaluate(
         reference,
         candidates,
-        protocol="pcbench:thresholds=0.05",
-        columns=("chamfer", "fscore@0.05"),
+        columns=("chamfer", "fscore@0.05"),  # the threshold becomes one of the protocol
         workers=2,
         out=folder / "out",
     )

@@ -98,8 +98,8 @@ def test_the_failure_matrix_shows_shares_of_failures():
         "noise-gaussian": 0.0,
         "degenerate": 0.25,
     }
-    assert failed[0] == pytest.approx([100 * expected[name] for name in names])
-    assert np.isnan(failed[1][names.index("start-rotation")])  # `global` did not run it
+    assert failed[:, 0] == pytest.approx([100 * expected[name] for name in names])
+    assert np.isnan(failed[names.index("start-rotation"), 1])  # `global` did not run it
 
 
 def test_recall_ends_at_the_share_of_runs_with_a_pose():
