@@ -8,11 +8,13 @@ distance from the cloud to the surface. Prints a table; `--chart` draws means ov
 """
 
 import argparse
+import importlib.util
 import json
 import os
 import statistics
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -57,6 +59,8 @@ BUDGETS = (
 )
 _PEERS_FILE = Path(__file__).with_name("methods_peers.py")
 PEERS = {"COLMAP": f"{_PEERS_FILE}:Colmap", "OpenCV": f"{_PEERS_FILE}:OpenCvPairs"}
+HAS_OPENCV = importlib.util.find_spec("cv2") is not None
+MISSING = "" if HAS_OPENCV else "; missing: cv2 (pip install opencv-python-headless)"
 LINE_STYLES = {
     "sfm": ("#0072b2", "o"),
     "mvs": ("#009e73", "s"),
@@ -76,6 +80,11 @@ class Measured(NamedTuple):
     accuracy: float
     completeness: float
     fscore: float
+
+
+def runnable(budgets: Sequence[Budget]) -> list[Budget]:
+    """Return the budgets whose libraries are installed; `MISSING` names the others."""
+    return [budget for budget in budgets if budget.method != "OpenCV" or HAS_OPENCV]
 
 
 def reconstruct(budget: Budget, folder: Path, workspace: Path) -> Run:
@@ -128,6 +137,8 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
     left, right = figure.subplots(1, 2)
     for method, (color, shape) in LINE_STYLES.items():
         rows = [(budget, measured) for budget, measured in means if budget.method == method]
+        if not rows:
+            continue
         seconds = [measured.seconds for _, measured in rows]
         style = {"color": color, "alpha": 0.85, "label": method}
         left.plot(seconds, [measured.fscore for _, measured in rows], f"-{shape}", **style)
@@ -156,29 +167,30 @@ def main() -> None:
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
-    print(setting())
+    budgets = runnable(BUDGETS)
+    print(f"{setting()}{MISSING}")
     print(f"{options.images} images of {options.size}, cities of {EXTENT} m, true cameras, one thread")
-    print(f"{'':6}{'':25}{'CPU s':>8}{'MiB':>8}{'points':>10}{'accuracy':>10}{'complete':>10}{'F-score':>9}")
-    rows: dict[int, list[Measured]] = {number: [] for number in range(len(BUDGETS))}
+    print(f"{'':8}{'':25}{'CPU s':>8}{'MiB':>8}{'points':>10}{'accuracy':>10}{'complete':>10}{'F-score':>9}")
+    rows: dict[int, list[Measured]] = {number: [] for number in range(len(budgets))}
     with tempfile.TemporaryDirectory() as temporary:
         for case in CITIES[: options.cities]:
             folder = (options.folder or Path(temporary)) / case.replace(", ", "_").replace(" ", "_")
             scored_city = city(folder, case, options.images, options.size)
             print(case)
-            for number, budget in enumerate(BUDGETS):
+            for number, budget in enumerate(budgets):
                 record = folder.with_name(f"{folder.name}_{budget.method}_{budget.label}.json".replace(" ", "_"))
                 if not record.exists():
                     with tempfile.TemporaryDirectory() as workspace:
                         measured = measure(scored_city, folder, budget, Path(workspace))
                     record.write_text(json.dumps(measured))
                 rows[number].append(Measured(*json.loads(record.read_text())))
-                print(f"{budget.method:6}{budget.label:25}{row(rows[number][-1])}", flush=True)
-            means = [(budget, mean(rows[number])) for number, budget in enumerate(BUDGETS)]
+                print(f"{budget.method:8}{budget.label:25}{row(rows[number][-1])}", flush=True)
+            means = [(budget, mean(rows[number])) for number, budget in enumerate(budgets)]
             if options.chart:
                 draw(means, options.chart / "methods.png")
     print("mean")
     for budget, measured in means:
-        print(f"{budget.method:6}{budget.label:25}{row(measured)}")
+        print(f"{budget.method:8}{budget.label:25}{row(measured)}")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ angle, by semi-global matching (Hirschmuller 2008).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 SGBM_BLOCK_PX = 5
 _ANGLES_DEG = 3.0, 30.0  # between the rays of a pair's common points
+_MAX_STRETCH = 3.0  # sides of rectified images over the longer side of the photograph
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV counts from the centre of the first pixel
 _DEPTH_QUANTILES, _DEPTH_MARGIN = (0.01, 0.99), 1.2  # of COLMAP's points: the range of depths that is searched
 
@@ -164,6 +166,8 @@ def match_pair(scene: Scene, first: str, second: str, common: FloatArray) -> Flo
     disparity = matcher.compute(*pair.images).astype(np.float64) / 16
     rows, columns = np.nonzero((disparity >= lowest) & (pair.images[0] > 0))
     depth = pair.focal * pair.baseline / (disparity[rows, columns] - pair.offset)
+    searched = (near <= depth) & (depth <= far)  # the range of disparities is a multiple of 16
+    rows, columns, depth = rows[searched], columns[searched], depth[searched]
     x, _, y = pair.centers
     rays = np.column_stack([(columns + 0.5 - x) / pair.focal, (rows + 0.5 - y) / pair.focal, np.ones(len(rows))])
     return pair.position + (rays * depth[:, None]) @ pair.rotation
@@ -175,13 +179,7 @@ def rectify(scene: Scene, first: str, second: str) -> RectifiedPair:
 
     cameras = scene.cameras[first], scene.cameras[second]
     baseline = cameras[1].position - cameras[0].position
-    x = baseline / np.linalg.norm(baseline)
-    z = cameras[0].direction + cameras[1].direction
-    z = z - x * (x @ z)
-    z /= np.linalg.norm(z)
-    rotation = np.stack([x, np.cross(z, x), z])
-    focal = float(np.mean([camera.intrinsics.fx for camera in cameras]))
-    borders = [focal * _border(camera, rotation) for camera in cameras]
+    rotation, focal, borders = _common_frame(cameras)
     top = np.floor(min(border[:, 1].min() for border in borders))
     height = int(np.ceil(max(border[:, 1].max() for border in borders)) - top)
     images, columns = [], []
@@ -209,11 +207,34 @@ def rectify(scene: Scene, first: str, second: str) -> RectifiedPair:
     )
 
 
+def _common_frame(cameras: Sequence[Camera]) -> tuple[FloatArray, float, list[FloatArray]]:
+    """Return the frame of two rectified images: rotation (3, 3), focal length and borders in pixels."""
+    x = cameras[1].position - cameras[0].position
+    x = x / np.linalg.norm(x)
+    z = cameras[0].direction + cameras[1].direction
+    z = z - x * (x @ z)
+    z /= np.linalg.norm(z)
+    rotation = np.stack([x, np.cross(z, x), z])
+    focal = float(np.mean([camera.intrinsics.fx for camera in cameras]))
+    return rotation, focal, [focal * _border(camera, rotation) for camera in cameras]
+
+
 def _border(camera: Camera, rotation: FloatArray) -> FloatArray:
-    """Return the border of an image (N, 2) at depth 1 in a rotated frame."""
+    """Return the border of an image (N, 2) at depth 1 in a rotated frame; infinite where it is behind the plane."""
     rays = np.column_stack([camera.intrinsics.border, np.ones(len(camera.intrinsics.border))])
-    turned = rays @ (rotation @ camera.cam_from_world.rotation.T).T
-    return turned[:, :2] / turned[:, 2:]
+    x, y, depth = rotation @ camera.cam_from_world.rotation.T @ rays.T
+    return np.stack([x, y], axis=1) / np.where(depth > 0, depth, 0.0)[:, None]
+
+
+def _can_be_rectified(cameras: Sequence[Camera]) -> bool:
+    """Return whether rectified images are not much larger: not for cameras of which one is before the other."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        borders = _common_frame(cameras)[2]
+        sizes = [np.ptp(border, axis=0).max() for border in borders]
+    return all(
+        size <= _MAX_STRETCH * max(camera.intrinsics.width, camera.intrinsics.height)
+        for size, camera in zip(sizes, cameras, strict=True)
+    )
 
 
 def _points_of_images(model: pycolmap.Reconstruction) -> dict[str, dict[int, FloatArray]]:
@@ -227,11 +248,14 @@ def _points_of_images(model: pycolmap.Reconstruction) -> dict[str, dict[int, Flo
 
 
 def _partner(first: str, seen: dict[str, dict[int, FloatArray]], scene: Scene) -> str | None:
-    """Return the image with the most common points seen from moderately different directions; None if there is none."""
+    """Return the image with the most common points seen from moderately different directions; None if there is none.
+
+    Pairs that look along their baseline are left out, because they cannot be rectified.
+    """
     counts = {}
     for second in seen:
         shared = seen[first].keys() & seen[second].keys()
-        if second == first or not shared:
+        if second == first or not shared or not _can_be_rectified([scene.cameras[first], scene.cameras[second]]):
             continue
         points = np.stack([seen[first][number] for number in shared])
         rays = [points - scene.cameras[name].position for name in (first, second)]

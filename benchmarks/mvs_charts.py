@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from dense_cases import read_city
 
 SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
-CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
+CORRELATIONS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9)
 THRESHOLD_INDEX = 1  # index of the bench's threshold of 2 pixels
 LINE_STYLES = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
 # Label positions that are clear of the lines: upper left of rising lines, lower right of the lowest rising line, and

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from measure import setting
-from methods import PEERS, Budget, reconstruct
+from methods import MISSING, PEERS, Budget, reconstruct, runnable
 from numpy.typing import NDArray
 from real_data import data_root
 from scipy.spatial import cKDTree
@@ -148,7 +148,7 @@ def main() -> None:
     os.environ["OMP_NUM_THREADS"] = "1"
     folder = root / "fountain"
     measured = dict(read_scene(folder).cameras)
-    print(f"{setting()}; fountain-P11, {len(measured)} photographs, one thread\n")
+    print(f"{setting()}{MISSING}; fountain-P11, {len(measured)} photographs, one thread\n")
     with tempfile.TemporaryDirectory() as temporary:
         if options.only != "clouds":
             print_cameras(folder, measured, Path(temporary))
@@ -184,7 +184,7 @@ def print_clouds(folder: Path, scale: float, temporary: Path) -> None:
     size = next(iter(cameras.values())).intrinsics
     print(f"{len(points):,} reference points, images of {size.width}x{size.height}")
     print(f"{'clouds':30}{'CPU s':>7}{'MiB':>7}{'points':>11}{'< 1 px':>8}{'< 2 px':>8}{'plane px':>10}{'before':>8}")
-    for number, budget in enumerate(CLOUDS):
+    for number, budget in enumerate(runnable(CLOUDS)):
         outcome = reconstruct(budget._replace(image_scale=scale), folder, temporary / f"cloud{number}")
         cloud = outcome.require_reconstruction().cloud.points
         distances = Index(cloud).query(points).distances / pixels

@@ -6,7 +6,8 @@ The other side is written from the published description: scikit-learn's Nearest
 scikit-learn is not installed, a loop over points for the thinning and one over faces for the mesh. Both sides read the
 same files. Scores of the made scan are of two random orders, so that their last digits differ.
 
---data    folder with dtu/ and expected.json, with scores that the official program printed; left out if it is absent
+--data    folder with dtu/ and expected.json, with scores of the steps of the official Python version, run with its
+          libraries in six orders; left out if it is absent
 --points  points of the candidate of a made scan; 0: none
 --runs    alternating runs, of which the median counts
 """
@@ -150,7 +151,7 @@ def make_scan(folder: Path, count: int) -> Path:
 
 
 def print_case(name: str, folder: Path, candidate: Path, runs: int, expected: dict[str, float] | None) -> None:
-    """Time both sides on one candidate, and print their scores beside the official ones."""
+    """Time both sides on one candidate, and print their scores beside those of the steps of the Python version."""
     scores: dict[str, Scores] = {}
 
     def run(side: str, evaluate: Callable[[Path, Path], Scores]) -> None:
@@ -161,7 +162,7 @@ def print_case(name: str, folder: Path, candidate: Path, runs: int, expected: di
     print(f"\n{name}")
     print(f"{'':14}{'accuracy':>12}{'completeness':>14}{'wall s':>9}{'CPU s':>9}")
     if expected is not None:
-        print(f"{'official':14}{expected['accuracy']:12.5f}{expected['completeness']:14.5f}")
+        print(f"{'Python steps':14}{expected['accuracy']:12.5f}{expected['completeness']:14.5f}")
         print(f"{'  (6 orders)':14}{expected['accuracy_sd']:>11.5f}σ{expected['completeness_sd']:13.5f}σ")
     for side in sides:
         accuracy, completeness = scores[side]
@@ -184,7 +185,7 @@ def main() -> None:
         for name in ("points007.ply", "mesh007.ply"):
             print_case(name, given.data / "dtu", given.data / "dtu" / name, given.runs, expected[name])
     else:
-        print(f"missing: the folder {given.data} of official scores")
+        print(f"missing: the folder {given.data} of the scores of the Python version")
     if given.points:
         with tempfile.TemporaryDirectory() as folder:
             candidate = make_scan(Path(folder), given.points)

@@ -195,14 +195,14 @@ def main() -> None:
         print(f"{name:12}" + "".join(f"{f'{a:.2f} to {b:.2f}':>16}" for a, b in zip(lowest, highest, strict=True)))
     ours, peers = total / (2 * LEVELS * arguments.seeds)
     print(f"\nCPU seconds per map: ours (all numbers) {ours:.1f}, peer at 4,000 points {peers:.1f}\n")
-    print(f"{'known value':24}{'truth':>10}{'recovered':>20}{'largest error':>16}")
+    print(f"{'known value':24}{'truth':>8}{'recovered':>22}{'largest error':>16}")
     found: dict[str, tuple[float, list[float]]] = {}
     for seed in range(arguments.seeds):
         for name, truth, value in recoveries(seed):
             found.setdefault(name, (truth, []))[1].append(math.nan if value is None else value)
     for name, (truth, values) in found.items():
         worst = max(abs(value / truth - 1) for value in values)
-        print(f"{name:24}{truth:>10.4g}{f'{min(values):.4g} to {max(values):.4g}':>20}{worst:>15.1%}")
+        print(f"{name:24}{truth:>8.4g}{f'{min(values):.4g} to {max(values):.4g}':>22}{worst:>15.1%}")
 
 
 if __name__ == "__main__":

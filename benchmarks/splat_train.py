@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,9 +37,10 @@ from reconstructors.splat.density import Density
 from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
+from reconstructors.splat.recipes import choose_recipe
 from reconstructors.splat.splat import INITIAL_MVS, initial_model
 from reconstructors.splat.supervision import Supervision, read_supervision
-from reconstructors.splat.train import Schedule, Training, evaluate
+from reconstructors.splat.train import Training, evaluate
 from reconstructors.splat.view import View
 
 
@@ -90,13 +92,14 @@ def prepare(scored_city: City, work: Path, device: torch.device) -> Inputs:
 
 
 def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
-    """Train a model and score it."""
+    """Train a model with the rates that `splat` uses, and score it."""
+    supervised = contestant.supervised
     training = Training(
         initial_model(inputs.dense.cloud, inputs.frame, count, seed).to(device),
         inputs.shown,
-        Schedule(steps=steps, sh_degree=2, seed=seed),
+        replace(choose_recipe("fixed", supervised=supervised).schedule, steps=steps, sh_degree=2, seed=seed),
         Density(),
-        inputs.supervision if contestant.supervised else None,
+        inputs.supervision if supervised else None,
     )
     if contestant.draw is not None:
         training._rasterizer = RasterizerByAutograd(contestant.draw)

@@ -15,6 +15,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,9 +36,10 @@ from reconstructors.splat.density import Classic, Density, NumberGrowth
 from reconstructors.splat.exposure import Exposure
 from reconstructors.splat.parsimony import Parsimonious
 from reconstructors.splat.photographs import Photograph, Pyramid
+from reconstructors.splat.recipes import choose_recipe
 from reconstructors.splat.splat import initial_model
 from reconstructors.splat.start import points_in_bounds, points_in_view
-from reconstructors.splat.train import Schedule, Training, evaluate
+from reconstructors.splat.train import Training, evaluate
 
 SCENES = "circles, seed 11;oblique, half texture;grid, hard;oblique, half texture; exposures"
 MIN_GAIN, MIN_CHANNEL_GAIN = 0.7, 0.93  # of `exposures`
@@ -83,10 +85,11 @@ def start(case: Case, options: Options, density: Density[Training], shown: list[
         cloud = Cloud(points_in_bounds(cloud.points, count, options.seed))
     elif source == "cameras":
         cloud = Cloud(points_in_view(list(inputs.cameras.values()), count, options.seed))
+    recipe = choose_recipe("classic" if isinstance(density, Classic) else "fixed", supervised=source == "mvs")
     return Training(
         initial_model(cloud, inputs.frame, count, options.seed),
         shown,
-        Schedule(steps=options.steps, sh_degree=2, seed=options.seed, plateau=None),
+        replace(recipe.schedule, steps=options.steps, sh_degree=2, seed=options.seed, plateau=None),
         density,
         inputs.supervision if source == "mvs" else None,
     )

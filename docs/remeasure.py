@@ -26,7 +26,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import NamedTuple
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -52,6 +52,7 @@ _LEAST_LIMIT_S, _LIMIT_FACTOR = 600.0, 4.0  # least limit of a command, and its 
 _UNKNOWN_COST = Cost(600.0, True)  # of a command that docs/measured/commands.toml does not have yet
 _QUIET_LOAD, _QUIET_WAIT_S, _QUIET_POLL_S = 0.7, 120.0, 3.0  # busy cores at which timings begin; longest wait; steps
 _MISSING = re.compile(r"missing: .*|.* is not measured.*")  # as the benchmarks say it
+_TEMPORARY_FOLDER = re.compile(rf"{re.escape(gettempdir())}/tmp\w+/")
 _running: set[int] = set()  # processes of the commands that run now
 _SOURCES = {".h", ".cpp", ".cu"}
 _SITE = "site-packages"  # folder of compiled modules
@@ -134,7 +135,7 @@ def run_command(root: Path, command: str, limit_s: float, environment: Mapping[s
             raise ChildProcessError(f"exit code {process.returncode}: {(errors or printed).strip()[-500:]}")
         names = sorted({name for file in imports.iterdir() for name in file.read_text().split("\n")})
     code = {name: digest for name in code_files(root, names) if (digest := hash_of(root / name))}
-    lines = [line.rstrip() for line in printed.strip("\n").split("\n")]
+    lines = [_TEMPORARY_FOLDER.sub("", line).rstrip() for line in printed.strip("\n").split("\n")]
     return Run(command, commit(), _machine(), round(load, 1), date.today().isoformat(), round(seconds, 1), code, lines)
 
 
