@@ -21,12 +21,14 @@ $(VENV)/.core: $(BIN)/python $(NATIVE)
 	$(PIP) --no-deps --editable .
 	@touch $@
 
-$(VENV)/.plot: $(BIN)/python pyproject.toml constraints.txt
-	$(BIN)/python packaging/requirements.py plot | $(PIP) --requirement /dev/stdin
+$(VENV)/.plot: $(BIN)/python pyproject.toml constraints.txt packaging/requirements.py
+	$(BIN)/python packaging/requirements.py plot > $@.txt
+	$(PIP) --requirement $@.txt
 	@touch $@
 
 $(VENV)/.photographs: $(VENV)/.plot
-	$(BIN)/python packaging/requirements.py sfm mvs splat field | $(PIP) --requirement /dev/stdin
+	$(BIN)/python packaging/requirements.py sfm mvs splat field > $@.txt
+	$(PIP) --requirement $@.txt
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)

@@ -15,8 +15,13 @@ _ROOT = Path(__file__).resolve().parent.parent
 _INCLUDE = re.compile(r"^--8<-- \"(?P<file>[^\"]+)\"$", re.MULTILINE)
 _ANSWER = re.compile(r'(<div class="language-(?:console|text) highlight">.*?<code>)(.*?)(</code>)', re.DOTALL)
 _COLUMNS = re.compile(r"\S {2,}\S|^ {8,}\S")
+_NUMBERS = re.compile(r"[-+.\de]+(?: [-+.\de]+)+")  # a row of a matrix
+_COLORS = re.compile(r'</?span(?: class="[^"]*")?>')  # not the marks of lines, which have an id
 _WIDTH = 132  # columns at which commands wrap the sentences of the pages
 _INDENTED_WIDTH = 116  # the same for sentences that continue below with two spaces
+_INLINE_CODE = re.compile(r"(?<!</span>)<code>([^<]*)</code>")
+_OPTION = re.compile(r"(?<![\w-])--?[A-Za-z][\w-]*")
+_WHOLE = r'<span class="option">\g<0></span>'
 _PICTURE = re.compile(r'<img\b[^>]*?\bsrc="([^"]+)"[^>]*>')
 _REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what explains a term comes before its names
 
@@ -33,10 +38,11 @@ def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
 
 
 def on_page_content(html: str, **kwargs: Any) -> str:
-    """Let sentences of console blocks wrap anywhere, keep rows on one line, and link pictures to their files.
+    """Let sentences of console blocks wrap anywhere, keep rows and options whole, and link pictures to their files.
 
     style.css keeps the rows of printed tables whole. A page shows wide pictures smaller than they are.
     """
+    html = _INLINE_CODE.sub(lambda code: f"<code>{_OPTION.sub(_WHOLE, code[1])}</code>", html)
     html = _PICTURE.sub(r'<a href="\1">\g<0></a>', html)
     return _ANSWER.sub(lambda block: block[1] + "\n".join(_wrapping(block[2].split("\n"))) + block[3], html)
 
@@ -64,15 +70,19 @@ def _wrapping(lines: list[str]) -> list[str]:
     for line in lines:
         text = _text(line)
         gaps = len(_COLUMNS.findall(text))
-        if gaps > 1 or (gaps and len(text) <= _WIDTH):  # a longer line with one gap is a name with its explanation
+        if text.startswith("# "):  # a comment of an answer, which the highlighter takes for a command of root
+            line = f'<span class="go">{_COLORS.sub("", line)}</span>'
+        # A longer line with one gap is a name with its explanation.
+        if gaps > 1 or (gaps and len(text) <= _WIDTH) or _NUMBERS.fullmatch(text):
             found.append(f'<span class="row">{line}</span>')
             sentence = ""
         elif sentence and _continues(sentence, text):
             found[-1] += ("" if sentence.endswith("-") else " ") + re.sub(r"(^|>) +", r"\1", line, count=1)
             sentence = text
         else:
+            is_command = text.startswith("$ ") or (bool(found) and _text(found[-1]).endswith("\\"))
             found.append(line)
-            sentence = text
+            sentence = "" if is_command else text
     return found
 
 
