@@ -23,7 +23,8 @@ _INLINE_CODE = re.compile(r"(?<!</span>)<code>([^<]*)</code>")
 _OPTION = re.compile(r"(?<![\w-])--?[A-Za-z][\w-]*")
 _WHOLE = r'<span class="option">\g<0></span>'
 _PICTURE = re.compile(r'<img\b[^>]*?\bsrc="([^"]+)"[^>]*>')
-_REFERENCE_BOOST = 0.002  # titles count a thousand times as much as text: what explains a term comes before its names
+# Titles count a thousand times as much as text: what explains a term comes before its names, and before records of it.
+_BOOSTS = {"reference": 0.002, "trials": 0.01}
 
 
 def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
@@ -32,8 +33,8 @@ def on_page_markdown(markdown: str, *, page: Any, **kwargs: Any) -> str:
     Links of included files start at the root of the repository.
     """
     markdown = TABLE.sub(_with_age, markdown)
-    if page.file.src_uri.startswith("reference/"):
-        page.meta.setdefault("search", {}).setdefault("boost", _REFERENCE_BOOST)
+    if boost := _BOOSTS.get(page.file.src_uri.partition("/")[0]):
+        page.meta.setdefault("search", {}).setdefault("boost", boost)
     return _INCLUDE.sub(lambda include: included_text((_ROOT / include["file"]).read_text()), markdown)
 
 
