@@ -55,7 +55,7 @@ def report(folder: Path) -> None:
     run(command.split(), check=True, cwd=folder)  # the page shows the path as given
     page, picture = folder / "demo" / "report" / "report.html", folder / "page.png"
     with Browser() as browser:
-        browser.open(page, width=1180, height=1660)
+        browser.open(page, width=1180, height=2200)
         browser.screenshot(picture, whole=False)
         save_compressed(picture, "report")
         browser.open(page, width=1180, height=900, dark=True)
